@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_analysis::{Analysis, AnalysisError, all_settings};
+use harness_analysis::{Analysis, AnalysisError, Key, Mean, Selection, all_settings};
 use harness_catalog::{QueryError, query_recorded};
 use harness_claims::{Claim, ClaimsError, Judgment, judge};
 use harness_registry::{Recorded, Registry};
@@ -113,6 +113,8 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "settings": all_settings(record),
         "metrics": columns(&metrics, metrics.height()),
         "losses": losses_of(registry, recorded)?,
+        "horizons": horizons_of(registry, recorded)?,
+        "sample_seconds": record.spec.simulation.as_ref().map(|simulation| 1.0 / simulation.sample_rate_hz),
         "frames": columns(&frames, frames.height()),
         "sizes": sizes,
         "elements": elements,
@@ -133,6 +135,19 @@ fn losses_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Fai
         "select task, split, term, epoch, value from epochs order by task, term, split, epoch",
     )?;
     Ok(columns(&losses, losses.height()))
+}
+
+/// The metrics of a finished run's predictions at each horizon, and the skill; none if it predicts only one sample.
+fn horizons_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Failure> {
+    if recorded.1.spec.window.horizon == 1 {
+        return Ok(Vec::new());
+    }
+    let run = Analysis::of(registry, vec![recorded.clone()], &Selection::default())?;
+    let mut means = run.means_by(&[Key::Horizon])?;
+    // A reconstruction is 0 samples ahead.
+    means.retain(|mean| mean.of.horizon > Some(0));
+    let horizons = Mean::frame(&means)?;
+    Ok(columns(&horizons, horizons.height()))
 }
 
 /// The answer to a query over the tables of one run.

@@ -1,6 +1,7 @@
 """Uses the page of `harness serve` in a real headless Chromium like a person: filters, sorts, groups, chooses, asks.
 
-    use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--live SPEC] [--screenshots DIR]
+    use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--horizon] [--live SPEC]
+        [--screenshots DIR]
 
 With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is checked. With --many,
 the times and the memory of many runs are measured too. With --live, a run of the spec is started and removed while the
@@ -193,10 +194,33 @@ def check_runs(page: Served):
     Select(page.one("#group")).select_by_value("experiment")
     groups = page.texts("#table tr.group")
     assert groups and sum(int(re.search(r"\((\d+)\)", text)[1]) for text in groups) == page.count()[0]
+    table = page.text("#table")
+    assert not any(int(re.search(r"\((\d+)\)", text)[1]) > 1 for text in groups) or "±" in table, table
+    Select(page.one("#plotted")).select_by_value("contact_force r2")
+    chart = page.one("#plot .plot")
+    assert chart.get_attribute("aria-label").startswith("contact_force r2 by experiment: "), "the metric is plotted"
+    chart.send_keys(Keys.HOME)
+    assert page.text("#plot .tooltip") != "", "a point says what it is"
     page.shoot("groups")
+    check_address(page)
     page.browser.execute_script("document.querySelector('#table tr.group').click()")
     assert len(page.texts("#table tbody tr:not(.group):not([aria-hidden])")) > 0
     Select(page.one("#group")).select_by_value("")
+    assert page.text("#plot") == "", "without groups there is no plot"
+
+
+def check_address(page: Served):
+    """A link has the filter, the order, the groups, the plot and the chosen runs."""
+    def state() -> list:
+        fields = [page.one(f"#{name}").get_property("value") for name in ("filter", "group", "plotted")]
+        return [*fields, page.count(), page.texts("#table tr.group"), page.texts("#table thead th")]
+    before, address = state(), page.browser.current_url
+    assert "#filter=" in address and "group=experiment" in address, address
+    page.browser.get("about:blank")
+    page.browser.get(address)
+    page.browser.execute_script("performance.setResourceTimingBufferSize(100000)")
+    page.wait(lambda: page.count() is not None)
+    assert state() == before and page.browser.current_url == address, (before, state())
 
 
 def check_chosen(page: Served):
@@ -345,6 +369,29 @@ def check_changes(page: Served, results: Path):
     assert page.column("contact_force r2")
 
 
+def check_horizon(page: Served):
+    """Runs that predict several samples ahead have charts over the horizon, which show the values of the server."""
+    page.open(DESKTOP)
+    page.click_row()
+    page.wait(lambda: "Over the horizon" in page.texts("#chosen h3"))
+    titles = [text for text in page.texts("#chosen h4") if text.endswith(": skill")]
+    assert sorted(titles) == ["contact_force: skill", "proprioception: skill"], titles
+    name = page.text("#chosen h2")
+    run = json.loads(ask(page.address, f"/api/run?run={name}")[1])
+    columns = {column["name"]: column["values"] for column in run["horizons"]}
+    chosen = [place for place, key in enumerate(zip(columns["model"], columns["modality"], columns["metric"]))
+              if key == ("network", "contact_force", "skill")]
+    assert [columns["horizon"][place] for place in chosen] == [1, 2, 4] and run["sample_seconds"] == 0.1
+    plot = next(box for box in page.all("#chosen .chart") if box.find_element(By.CSS_SELECTOR, "h4").text == titles[0])
+    page.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    plot.find_element(By.CSS_SELECTOR, ".plot").send_keys(Keys.END)
+    said = plot.find_element(By.CSS_SELECTOR, ".tooltip").text
+    assert said.startswith("horizon (s) 0.4"), said
+    page.shoot("horizon")
+    page.click_row(1)
+    page.wait(lambda: page.text("#chosen h2") == "2 runs" and "Over the horizon" in page.texts("#chosen h3"))
+
+
 def check_phone(page: Served):
     page.open(PHONE)
     wide = page.browser.execute_script("return document.documentElement.scrollWidth")
@@ -466,6 +513,7 @@ def main():
         parser.add_argument(name)
     parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--many", action="store_true")
+    parser.add_argument("--horizon", action="store_true")
     parser.add_argument("--live")
     parser.add_argument("--screenshots", type=Path)
     chosen = parser.parse_args()
@@ -481,6 +529,8 @@ def main():
                     check_hostile(page)
                 elif chosen.many:
                     check_many(page, process)
+                elif chosen.horizon:
+                    check_horizon(page)
                 else:
                     check_guard(address)
                     check_runs(page)

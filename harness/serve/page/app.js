@@ -44,11 +44,55 @@ const say = (text) => (find("state").textContent = text);
 /** Says what is wrong with the filter or the choice of runs, on their tab. */
 const note = (text) => (find("note").textContent = text);
 
+// --- The state of the page ---
+
+const state = {
+  columns: [], count: 0, version: "", sort: { name: "started", down: true }, group: "", plotted: "", open: new Set(),
+  chosen: new Map(), tab: "tab-runs",
+  // The last text in the field of the filter that was one.
+  filter: "",
+  // The status of each run, and the names of all columns so far and of those that are shown.
+  statuses: new Map(), known: new Set(), visible: new Set(),
+};
+
+/** Writes what is filtered, sorted, grouped, plotted and chosen into the address, so that a link shows the same. */
+function remember() {
+  // Until the runs are there, the address says what to show.
+  if (state.version === "") return;
+  const { tab, filter, group, plotted, sort, chosen } = state;
+  const words = new URLSearchParams();
+  if (tab !== "tab-runs") words.set("tab", tab.replace("tab-", ""));
+  for (const [key, value] of Object.entries({ filter, group, plot: plotted })) if (value) words.set(key, value);
+  if (sort.name !== "started" || !sort.down) words.set(sort.down ? "down" : "up", sort.name);
+  for (const name of chosen.keys()) words.append("run", name);
+  history.replaceState(null, "", `${location.pathname}${`#${words}`.replace(/^#$/, "")}`);
+}
+
+/** Shows what the address says, once the runs are there. */
+function recall() {
+  const words = new URLSearchParams(location.hash.slice(1));
+  find("filter").value = words.get("filter") ?? "";
+  const offered = (id, value) => [...find(id).options].some((option) => option.value === value);
+  for (const [id, key, name] of [["group", "group", "group"], ["plotted", "plotted", "plot"]]) {
+    const value = words.get(name) ?? "";
+    if (offered(id, value)) find(id).value = state[key] = value;
+  }
+  for (const direction of ["up", "down"]) {
+    if (named(words.get(direction))) state.sort = { name: words.get(direction), down: direction === "down" };
+  }
+  return () => {
+    for (const name of words.getAll("run")) if (state.statuses.has(name)) choose(name);
+    const tab = document.getElementById(`tab-${words.get("tab")}`);
+    if (tabs.includes(tab)) open(tab);
+  };
+}
+
 // --- Tabs ---
 
 const tabs = [...document.querySelectorAll("[role=tab]")];
 const opened = {};
 function open(tab) {
+  state.tab = tab.id;
   for (const other of tabs) {
     const chosen = other === tab;
     other.setAttribute("aria-selected", String(chosen));
@@ -56,6 +100,7 @@ function open(tab) {
     find(other.getAttribute("aria-controls")).hidden = !chosen;
   }
   opened[tab.getAttribute("aria-controls")]?.();
+  remember();
 }
 for (const [index, tab] of tabs.entries()) {
   tab.addEventListener("click", () => open(tab));
@@ -70,13 +115,6 @@ for (const [index, tab] of tabs.entries()) {
 
 // --- Runs ---
 
-const state = {
-  columns: [], count: 0, version: "", sort: { name: "started", down: true }, group: "", open: new Set(), chosen: new Map(),
-  // The last text in the field of the filter that was one.
-  filter: "",
-  // The status of each run, and the names of all columns so far and of those that are shown.
-  statuses: new Map(), known: new Set(), visible: new Set(),
-};
 const named = (name) => state.columns.find((column) => column.name === name);
 const nameOf = (row) => `${named("experiment").values[row]}/${named("run").values[row]}`;
 
@@ -128,10 +166,12 @@ function update() {
   const shownColumns = state.columns.filter((column) => state.visible.has(column.name));
   find("count").textContent = `${rows.length} of ${state.count} runs`;
   table.show(shownColumns, state.group ? grouped(rows) : rows, state.sort);
+  showGroups(rows);
+  remember();
 }
 
-/** The rows by group, in the order of the groups' first rows. The rows of closed groups are left out. */
-function grouped(rows) {
+/** The rows of each group, in the order of the groups' first rows. */
+function groupsOf(rows) {
   const { values } = named(state.group);
   const groups = new Map();
   for (const row of rows) {
@@ -139,7 +179,54 @@ function grouped(rows) {
     if (!groups.has(key)) groups.set(key, []);
     groups.get(key).push(row);
   }
-  return [...groups].flatMap(([group, rows]) => {
+  return groups;
+}
+
+/** The part of a group's width over which the points of its runs are spread. */
+const SPREAD = 0.5;
+let groupChart;
+
+/** Draws the chosen metric over the groups: each run, and the mean and the standard deviation of each group. */
+function showGroups(rows) {
+  const metric = named(state.plotted);
+  const place = find("plot");
+  if (!metric || !named(state.group)) {
+    groupChart?.remove();
+    groupChart = undefined;
+    place.replaceChildren();
+    return;
+  }
+  const measured = rows.filter((row) => typeof metric.values[row] === "number");
+  const groups = [...groupsOf(measured)];
+  const names = groups.map(([name]) => name);
+  const runs = groups.flatMap(([name, rows], at) => rows.map((row, index) => ({
+    x: at + SPREAD * ((index + 0.5) / rows.length - 0.5), y: metric.values[row], says: [nameOf(row), `${name}: ${shown(metric.values[row])}`],
+  })));
+  const means = groups.map(([name, rows], at) => {
+    const { mean, deviation } = meanOf(rows.map((row) => metric.values[row]));
+    const bounds = deviation === null ? undefined : [mean - deviation, mean + deviation];
+    return { x: at, y: mean, bounds, says: [`${name}: ${meanText({ mean, deviation })}`] };
+  });
+  const content = {
+    title: `${metric.name} by ${state.group}`,
+    x: { label: state.group, low: -0.5, high: names.length - 0.5, ticks: names.map((text, at) => ({ at, text })) },
+    y: { label: metric.name, ...withoutOutliers(runs.map((point) => point.y)) },
+    series: [
+      { name: "runs", color: COLORS[1], kind: "dot", behind: true, points: runs },
+      { name: "mean ± standard deviation", color: COLORS[0], kind: "disc", points: means },
+    ],
+  };
+  if (!groupChart) {
+    const box = element("div", { class: "chart" });
+    place.replaceChildren(box);
+    groupChart = new Chart(box);
+  }
+  groupChart.show(content);
+}
+
+/** The rows by group, in the order of the groups' first rows. The rows of closed groups are left out. */
+function grouped(rows) {
+  return [...groupsOf(rows)].flatMap(([group, rows]) => {
     const open = state.open.has(group);
     return [{ group, rows, open }, ...(open ? rows : [])];
   });
@@ -160,10 +247,13 @@ function takeRuns(answer) {
   }
   if (first) {
     find("group").append(new Option("nothing", ""));
-    for (const name of ["experiment", "scenario", "variant", "latent", "status", "group_hash", "dataset", "host"]) {
-      find("group").append(new Option(name === "group_hash" ? "settings without seed" : name, name));
-    }
+    const keys = ["experiment", "scenario", "variant", "input", "output", "latent", "status", "group_hash", "dataset", "host"];
+    for (const name of keys) find("group").append(new Option(name === "group_hash" ? "settings without seed" : name, name));
   }
+  // Metrics appear with the first run that has them.
+  const plotted = ["", ...state.columns.filter((column) => column.metric).map((column) => column.name)];
+  find("plotted").replaceChildren(...plotted.map((name) => new Option(name || "nothing", name, false, name === state.plotted)));
+  const chooseRuns = first ? recall() : undefined;
   find("choice").querySelector("div").replaceChildren(...state.columns.map((column) => {
     const box = element("input", { type: "checkbox" });
     box.checked = state.visible.has(column.name);
@@ -179,15 +269,18 @@ function takeRuns(answer) {
   const { values: statuses } = named("status");
   state.statuses = new Map(statuses.map((status, row) => [nameOf(row), status]));
   update();
+  chooseRuns?.();
   const removed = [...state.chosen.keys()].filter((name) => !state.statuses.has(name));
   if (removed.length) takeAway(removed);
 }
 
 find("filter").addEventListener("input", update);
-find("group").addEventListener("change", () => {
-  state.group = find("group").value;
-  update();
-});
+for (const key of ["group", "plotted"]) {
+  find(key).addEventListener("change", () => {
+    state[key] = find(key).value;
+    update();
+  });
+}
 
 // --- Chosen runs ---
 
@@ -211,6 +304,7 @@ async function choose(name) {
   }
   table.draw(true);
   showChosen();
+  remember();
 }
 
 /** Takes runs that were removed from the chosen ones. */
@@ -218,6 +312,7 @@ function takeAway(names) {
   for (const name of names) state.chosen.delete(name);
   table.draw(true);
   showChosen();
+  remember();
 }
 
 /** The chosen runs that the server has answered with. */
@@ -264,6 +359,10 @@ function showChosen() {
   const elements = element("div", { class: "charts" });
   if (contents.length) parts.append(element("h3", {}, "By element"), elements);
   for (const content of contents) addChart(elements, content);
+  const ahead = horizonContents(runs);
+  const horizons = element("div", { class: "charts" });
+  if (ahead.length) parts.append(element("h3", {}, "Over the horizon"), horizons);
+  for (const content of ahead) addChart(horizons, content);
   parts.append(...runs.map(pictures));
   return undefined;
 }
@@ -311,6 +410,23 @@ function metricsTable(runs) {
   return element("details", { open: "" }, element("summary", {}, "Metrics on test episodes"), element("div", { class: "scroll" }, plainTable(columns)));
 }
 
+/** The lines of a chart, given the rows of each run: those of all models of a single run, or of several networks. */
+function linesOf(runs, rows, point) {
+  return rows.flatMap((own, place) => {
+    // With several runs there would be too many lines for baselines.
+    const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || model === "network");
+    return models.map((model) => ({
+      name: runs.length === 1 ? model : runs[place].name.split("/")[1],
+      color: COLORS[runs.length === 1 ? MODELS.indexOf(model) : place],
+      dash: model === "network" ? undefined : "dotted",
+      line: true,
+      kind: "disc",
+      behind: model !== "network",
+      points: own.filter((row) => row.model === model).map(point),
+    }));
+  });
+}
+
 /** A chart over the elements, such as joints or links, for each metric and unit of a predicted vector. */
 function elementContents(runs) {
   const rows = runs.map((run) => rowsOf(run.metrics).filter((row) => row.index !== null && row.task === "prediction"));
@@ -320,23 +436,31 @@ function elementContents(runs) {
     const names = runs.find((run) => run.elements[modality])?.elements[modality] ?? [];
     const indices = distinct(rows.flat().filter((row) => kindOf(row) === kind).map((row) => row.index));
     const ticks = indices.map((at) => ({ at, text: names[at] ?? String(at) }));
-    const series = rows.flatMap((rows, place) => {
-      const own = rows.filter((row) => kindOf(row) === kind);
-      // With several runs there would be too many lines for baselines.
-      const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || model === "network");
-      return models.map((model) => ({
-        name: runs.length === 1 ? model : runs[place].name.split("/")[1],
-        color: COLORS[runs.length === 1 ? MODELS.indexOf(model) : place],
-        dash: model === "network" ? undefined : "dotted",
-        line: true,
-        kind: "disc",
-        behind: model !== "network",
-        points: own.filter((row) => row.model === model).map((row) => ({ x: row.index, y: row.value })),
-      }));
-    });
+    const own = rows.map((rows) => rows.filter((row) => kindOf(row) === kind));
+    const series = linesOf(runs, own, (row) => ({ x: row.index, y: row.value }));
     const values = series.flatMap((one) => one.points.map((point) => point.y));
     const y = { label: unit === "1" ? metric : `${metric} (${unit})`, ...withoutOutliers(values) };
     return { title: `${modality}: ${metric}`, x: { label: "element", low: indices[0] - 0.5, high: indices.at(-1) + 0.5, ticks }, y, series };
+  });
+}
+
+/** The metrics over the horizon: the error, and the skill over persistence. */
+const OVER_HORIZON = ["r2", "relative_error", "skill"];
+
+/** A chart over the horizon for each modality and metric of runs that predict further than one sample. */
+function horizonContents(runs) {
+  const rows = runs.map((run) => (run.horizons.length ? rowsOf(run.horizons) : []).filter((row) => OVER_HORIZON.includes(row.metric)));
+  const kindOf = (row) => JSON.stringify([row.modality, row.direction, row.metric]);
+  const [{ sample_seconds: seconds }] = runs;
+  const haveOneRate = runs.every((run) => run.sample_seconds === seconds);
+  return distinct(rows.flat().map(kindOf)).map((kind) => {
+    const [modality, direction, metric] = JSON.parse(kind);
+    const horizons = distinct(rows.flat().filter((row) => kindOf(row) === kind).map((row) => row.horizon));
+    const own = rows.map((rows) => rows.filter((row) => kindOf(row) === kind));
+    const series = linesOf(runs, own, (row) => ({ x: horizonPlace(row.horizon), y: row.mean }));
+    const y = { label: metric, ...withoutOutliers(series.flatMap((one) => one.points.map((point) => point.y))) };
+    const title = `${[modality, direction].filter((part) => part).join(" ")}: ${metric}`;
+    return { title, x: horizonAxis(horizons, haveOneRate ? seconds : null), y, series };
   });
 }
 

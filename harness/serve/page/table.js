@@ -43,6 +43,17 @@ function parseFilter(text, columns) {
   return (row) => tests.every((test) => test(row));
 }
 
+/** The mean and the standard deviation of numbers, which is null if there is only one; null without numbers. */
+function meanOf(numbers) {
+  if (numbers.length === 0) return null;
+  const mean = numbers.reduce((sum, value) => sum + value, 0) / numbers.length;
+  const squares = numbers.reduce((sum, value) => sum + (value - mean) ** 2, 0);
+  return { mean, deviation: numbers.length > 1 ? Math.sqrt(squares / (numbers.length - 1)) : null };
+}
+
+/** A mean with its standard deviation in words. */
+const meanText = ({ mean, deviation }) => (deviation === null ? shown(mean) : `${shown(mean)} ± ${shown(Number(deviation.toPrecision(2)))}`);
+
 /** The height of a row in pixels, as in the style sheet. */
 const ROW_HEIGHT = 28;
 
@@ -115,9 +126,10 @@ class BigTable {
     const made = element("tr", { class: "group" }, element("td", {}, button));
     this.columns.forEach((column, index) => {
       const numbers = group.rows.map((row) => column.values[row]).filter((value) => typeof value === "number");
-      const mean = column.metric && numbers.length ? numbers.reduce((sum, value) => sum + value, 0) / numbers.length : null;
-      const text = index === 0 ? `${shown(group.group)} (${group.rows.length})` : mean === null ? "" : `mean ${shown(mean)}`;
-      made.append(element("td", { class: index && mean !== null ? "number" : "" }, text));
+      const mean = column.metric ? meanOf(numbers) : null;
+      const text = index === 0 ? `${shown(group.group)} (${group.rows.length})` : mean === null ? "" : `mean ${meanText(mean)}`;
+      const title = `mean ± standard deviation of ${numbers.length} ${numbers.length === 1 ? "run" : "runs"}`;
+      made.append(element("td", index && mean !== null ? { class: "number", title } : {}, text));
     });
     made.addEventListener("click", () => this.toggled(group));
     return made;
