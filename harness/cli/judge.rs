@@ -110,6 +110,9 @@ pub struct Judge {
     /// What to record about the model, for example commit=ab12cd3; may be given several times
     #[arg(long = "note", value_name = "NAME=TEXT", value_parser = note)]
     notes: Vec<(String, String)>,
+    /// The file of the model, which is copied to the run: .onnx, .pt (TorchScript) or .pt2 (torch.export)
+    #[arg(long, value_name = "FILE")]
+    network: Option<PathBuf>,
 }
 
 fn note(text: &str) -> Result<(String, String), String> {
@@ -134,7 +137,8 @@ impl Judge {
         interrupt::install()?;
         let task = runner.open_task(task)?;
         let (model, seed, notes) = (self.model, self.seed, BTreeMap::from_iter(self.notes));
-        let external = External { model, seed, notes, task: self.task, predictions };
+        let (task_hash, network) = (self.task, self.network);
+        let external = External { model, seed, notes, task: task_hash, network, predictions };
         let JudgedRun { record, was_done } = runner.judge(&task, external)?;
         let is_run = |other: &RunRecord| other.name() == record.name();
         println!("{}", results::sheet(registry, Metrics::Main, is_run)?.render(Style::Text, width()));

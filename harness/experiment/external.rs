@@ -8,13 +8,18 @@ use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Stat
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
 use harness_shared::seal::hex;
-use harness_spec::{Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task};
+use harness_spec::{
+    Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task, WindowStart,
+};
 use harness_tables::{PredictedRow, PredictedRows};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
+
+/// The endings of files of models: ONNX, TorchScript, and programs of `torch.export`.
+const NETWORKS: [&str; 3] = ["onnx", "pt", "pt2"];
 
 /// Largest number of notes, and of characters in one of them.
 const MAX_NOTES: usize = 100;
@@ -34,6 +39,22 @@ pub enum SubmissionError {
     /// A note has no name, there are too many, or one is too long.
     #[error("notes: {0}")]
     Note(String),
+    /// The file of the model can't be attached.
+    #[error("{}: {problem}", path.display())]
+    Network {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The predictions were judged before, without the file of the model.
+    #[error("{run} was written without a file of its model; to attach one, first `{remedy}`")]
+    NotAttached {
+        /// The run.
+        run: String,
+        /// The command that removes it.
+        remedy: String,
+    },
     /// The predictions are incomplete or wrong.
     #[error("{0} ({dataset})", dataset = .1)]
     Recorded(RecordedError, String),
@@ -161,6 +182,7 @@ impl PredictionTask {
 pub struct OpenTask {
     task: PredictionTask,
     open: OpenData,
+    windows: Partition,
     /// The predictions of baselines, and what else all runs on the data share. They are computed for the first run.
     references: OnceLock<References>,
 }
@@ -177,18 +199,8 @@ impl OpenTask {
     }
 
     /// Returns the windows for training, validation and test, each with its whole context in its part.
-    pub fn windows(&self) -> Partition {
-        let Partition { training, validation, test } = &self.open.partition;
-        let (training, validation) = (self.whole(training), self.whole(validation));
-        Partition { training, validation, test: test.clone() }
-    }
-
-    /// Returns the windows of a part whose context is in the part. Networks join shorter windows to sequences.
-    fn whole(&self, part: &[Sample]) -> Vec<Sample> {
-        match self.task.spec.split.by {
-            Division::Sample => part.to_vec(),
-            Division::Episode | Division::Time => ends(part, self.task.spec.window.context),
-        }
+    pub fn windows(&self) -> &Partition {
+        &self.windows
     }
 
     fn references(&self) -> Result<&References, ExperimentError> {
@@ -237,6 +249,15 @@ impl OpenTask {
     }
 }
 
+/// Returns the windows of a part whose context is in the part. Networks join shorter windows to sequences. A window
+/// from the start of an episode has any context.
+fn whole_windows(part: &[Sample], spec: &RunSpec) -> Vec<Sample> {
+    match (spec.split.by, spec.window.start) {
+        (Division::Sample, _) | (_, WindowStart::Rest) => part.to_vec(),
+        (Division::Episode | Division::Time, WindowStart::Random) => ends(part, spec.window.context),
+    }
+}
+
 /// Returns the value of a row. The elements of an image are put in the order of channels.
 fn value(layout: &Layout, row: PredictedRow) -> RecordedValue {
     let PredictedRow { episode, sample, horizon, modality, index, value } = row;
@@ -269,6 +290,8 @@ pub struct External {
     pub notes: BTreeMap<String, String>,
     /// The hash of the task that the predictions are for, if the user knows it.
     pub task: Option<String>,
+    /// The file of the model, which is copied to the run.
+    pub network: Option<PathBuf>,
     /// Its predictions.
     pub predictions: Predictions,
 }
@@ -299,10 +322,27 @@ impl External {
                 return Err(SubmissionError::Note(format!("'{name}' has more than {MAX_NOTE} bytes")));
             }
         }
+        self.attached_name()?;
         let found = task.hash();
         match wanted {
             Some(wanted) if *wanted != found => Err(SubmissionError::Task { wanted: wanted.clone(), found }),
             _ => Ok(()),
+        }
+    }
+
+    /// The name that the file of the model gets in the run's folder: `network` and its ending.
+    fn attached_name(&self) -> Result<Option<String>, SubmissionError> {
+        let Some(path) = &self.network else { return Ok(None) };
+        let refused = |problem: String| SubmissionError::Network { path: path.clone(), problem };
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+        if !NETWORKS.contains(&ending) {
+            let endings = NETWORKS.map(|ending| format!(".{ending}")).join(", ");
+            return Err(refused(format!("the name of a model's file must end in one of {endings}")));
+        }
+        match std::fs::File::open(path).and_then(|file| file.metadata()) {
+            Ok(about) if about.is_file() => Ok(Some(format!("network.{ending}"))),
+            Ok(_) => Err(refused("it is not a file".into())),
+            Err(error) => Err(refused(error.to_string())),
         }
     }
 }
@@ -359,7 +399,11 @@ impl Runner<'_> {
         let frames = self.frame_place(&task.spec, &task.source);
         self.check_room(&task.source.dataset, frames)?;
         let open = self.open(&task.spec, &task.source, frames)?;
-        Ok(OpenTask { task, open, references: OnceLock::new() })
+        let Partition { training, validation, test } = &open.partition;
+        let whole = |part| whole_windows(part, &task.spec);
+        let windows =
+            Partition { training: whole(training), validation: whole(validation), test: test.clone() };
+        Ok(OpenTask { task, open, windows, references: OnceLock::new() })
     }
 
     /// Judges the predictions of a model of another program, and writes its run. The same predictions are not judged
@@ -370,11 +414,17 @@ impl Runner<'_> {
     /// before, or the run can't be written.
     pub fn judge(&self, task: &OpenTask, external: External) -> Result<JudgedRun, ExperimentError> {
         external.check(&task.task)?;
-        let External { model, seed, notes, predictions, .. } = external;
+        let attached = external.attached_name()?;
+        let External { model, seed, notes, network, predictions, .. } = external;
         let recorded = task.recorded(predictions)?;
         let spec = task.task.run(&model, seed);
         let folder = self.registry.run(&task.task.experiment, &spec, task.task.source.dataset.name());
-        let submission = Submission { task: task.task.hash(), predictions_sha256: digest(&recorded), notes };
+        let submission = Submission {
+            task: task.task.hash(),
+            predictions_sha256: digest(&recorded),
+            notes,
+            network: attached,
+        };
         if let Some(record) = judged_before(self.registry, &folder, &submission)? {
             return Ok(JudgedRun { record, was_done: true });
         }
@@ -393,8 +443,12 @@ impl Runner<'_> {
         }
         let provenance = Provenance { world_file: task.task.source.world_file(), ..self.provenance.clone() };
         let record = claimed.begin(&spec, task.samples().layout(), &provenance)?;
-        let record = RunRecord { submission: Some(submission), ..record };
-        if let Err(error) = claimed.finish(record.clone(), &outcome) {
+        let record = RunRecord { submission: Some(submission.clone()), ..record };
+        let attach = || match (&network, &submission.network) {
+            (Some(file), Some(name)) => claimed.attach(file, name),
+            _ => Ok(()),
+        };
+        if let Err(error) = attach().and_then(|()| claimed.finish(record.clone(), &outcome)) {
             // The disk may be full, so this can fail as well. The run is then listed as interrupted.
             let _ = claimed.fail(record, &describe(&error));
             return Err(error.into());
@@ -449,13 +503,17 @@ fn judged_before(
     if record.damage(Path::new(folder.path())).is_some() {
         return Ok(None);
     }
-    let before = record.submission.as_ref().map(|before| &before.predictions_sha256);
-    if before == Some(&submission.predictions_sha256) {
-        return Ok(Some(record));
-    }
     let run = record.name();
     let remedy = registry.command(&format!("rm {run}"));
-    Err(SubmissionError::Judged { run, remedy }.into())
+    match &record.submission {
+        Some(before) if before.predictions_sha256 == submission.predictions_sha256 => {
+            if submission.network.is_some() && submission.network != before.network {
+                return Err(SubmissionError::NotAttached { run, remedy }.into());
+            }
+            Ok(Some(record))
+        }
+        _ => Err(SubmissionError::Judged { run, remedy }.into()),
+    }
 }
 
 /// Returns the SHA-256 of all values, by the inputs that were given, modality and horizon.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _harness
 from ._arguments import integer, name_tuple
+from ._attachments import attachment
 
 if TYPE_CHECKING:
     import polars
@@ -48,7 +49,8 @@ class Submitted(NamedTuple):
 for _kind, _meanings in {
     Batch: {
         "context": "The inputs by modality, `[batch, context, ...]`. With a context above 1, `action` has the actions "
-        "between its samples, `[batch, context - 1, elements]`.",
+        "between its samples, `[batch, context - 1, elements]`. If the task begins at rest, `length` has the number of "
+        "samples since the start of the episode, `[batch]`, and copies of the first sample come before them.",
         "actions": "The actions from the present sample on, `[batch, horizon, elements]`.",
         "targets": "The outputs by modality, `[batch, horizon, ...]`; empty for the inputs of the test.",
     },
@@ -100,9 +102,12 @@ class Windows:
 
     def _batch(self, present: NDArray[np.int64]) -> Batch:
         task = self._task
-        context = {name: task._windows_of(name, present, 1 - task.context, task.context) for name in task.input}
-        if task.context > 1:
-            context["action"] = task._actions(present, 1 - task.context, task.context - 1)
+        if task.start == "rest" and task.context > 1:
+            context = task._since_the_start(present)
+        else:
+            context = {name: task._windows_of(name, present, 1 - task.context, task.context) for name in task.input}
+            if task.context > 1:
+                context["action"] = task._actions(present, 1 - task.context, task.context - 1)
         targets = {}
         if self._has_targets:
             targets = {name: task._windows_of(name, present, 1, task.horizon) for name in task.output}
@@ -126,6 +131,7 @@ class PredictionTask(_harness.Task):
         context: number of samples that a model sees, with the present one.
         horizon: number of samples that a model predicts.
         horizons: the horizons at which predictions are judged.
+        start: `random`, or `rest` if a model sees all samples since the start of an episode.
         action: `increment` or `target`.
         shapes: the shape of a sample of each input and output.
         units: the unit of each input and output; None for images and for modalities with several units.
@@ -147,6 +153,7 @@ class PredictionTask(_harness.Task):
     context: int
     horizon: int
     horizons: tuple[int, ...]
+    start: str
     action: str
     shapes: dict[str, tuple[int, ...]]
     units: dict[str, str | None]
@@ -154,7 +161,8 @@ class PredictionTask(_harness.Task):
 
     def __init__(self, *arguments: Any) -> None:
         about = json.loads(self.description())
-        for key in ("experiment", "name", "hash", "dataset", "scenario", "input", "output", "context", "horizon"):
+        keys = ("experiment", "name", "hash", "dataset", "scenario", "input", "output", "context", "horizon", "start")
+        for key in keys:
             setattr(self, key, about[key])
         self.horizons, self.action = tuple(about["horizons"]), about["action"]
         modalities = about["modalities"]
@@ -250,6 +258,7 @@ class PredictionTask(_harness.Task):
         model: str,
         seed: int = 0,
         notes: Mapping[str, Any] | None = None,
+        network: Any = None,
         batch_size: int = 256,
         progress: bool = True,
     ) -> Submitted:
@@ -266,6 +275,9 @@ class PredictionTask(_harness.Task):
             model: name of the model in tables: letters, digits, `_`, `-` and `.`.
             seed: seed of the model's training.
             notes: what to record about the model, such as its commit, the versions of packages or seconds of training.
+            network: the model itself, which is stored with the run, and which `harness.load_network` then loads: the
+                path of a file (ONNX `.onnx`, TorchScript `.pt`, or `torch.export` `.pt2`), or what
+                `torch.export.export` or `torch.jit.trace` returned.
             batch_size: number of windows that `predict` gets at once.
             progress: shows progress bars on stderr.
 
@@ -273,7 +285,7 @@ class PredictionTask(_harness.Task):
             The name of the run, and whether it was done before.
 
         Raises:
-            TypeError: `predict` returns something else than a dictionary of numbers.
+            TypeError: `predict` returns something else than a dictionary of numbers, or `network` is no file.
             ValueError: predictions are missing, have a wrong shape or are not finite, or other predictions of the model
                 with this seed were submitted before. The message says how to remove these.
             RuntimeError: the results can't be written, or another process is writing the run.
@@ -303,8 +315,9 @@ class PredictionTask(_harness.Task):
             for key, values in self._checked(predicted, len(actions)).items():
                 parts.setdefault(key, []).append(values)
         predictions = [(name, horizon, np.concatenate(values)) for (name, horizon), values in parts.items()]
-        arguments = (predictions, model, number, _notes(notes), [Path(sys.executable).name, *sys.argv], progress)
-        return Submitted(*self.judge(*arguments))
+        command = [Path(sys.executable).name, *sys.argv]
+        with attachment(network) as file:
+            return Submitted(*self.judge(predictions, model, number, _notes(notes), file, command, progress))
 
     def compare(self) -> polars.DataFrame:
         """Returns the means of all models, networks and baselines on the data of the task; see `harness.compare`.
@@ -325,6 +338,24 @@ class PredictionTask(_harness.Task):
         before = np.maximum(now - 1, self._first[now])
         image = self._arrays[name]
         return (image[now].astype(np.float32) - image[before].astype(np.float32)) / np.float32(255)
+
+    def _since_the_start(self, present: NDArray[np.int64]) -> Arrays:
+        """Returns all samples of the inputs since the starts of the episodes, and the actions between them.
+
+        Shorter contexts begin with copies of the episode's first sample, and with actions that change nothing.
+        """
+        first = self._first[present]
+        length = present - first + 1
+        longest = int(length.max(initial=1))
+        at = present[:, None] + np.arange(1 - longest, 1)
+        is_before = at < first[:, None]
+        at = np.maximum(at, first[:, None])
+        context = {name: self._windows_of(name, at.reshape(-1), 0, 1) for name in self.input}
+        context = {name: array.reshape(*at.shape, *array.shape[2:]) for name, array in context.items()}
+        still = 0 if self.action == "increment" else self._arrays["setpoint"][first][:, None]
+        between = self._steps[np.minimum(at[:, :-1], len(self._steps) - 1)]
+        context["action"] = np.where(is_before[:, :-1, None], still, between).astype(np.float32)
+        return {**context, "length": length}
 
     def _actions(self, present: NDArray[np.int64], start: int, count: int) -> NDArray[np.float32]:
         return _sliding(self._steps, present + start, count)

@@ -12,10 +12,10 @@ use harness::figures::{Figure, Format, Plot};
 use harness::files::write_bytes;
 use harness::judge::models;
 use harness::progress::Silent;
-use harness::registry::Registry;
+use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError};
 use harness::report::{Asked, ReportError};
 use harness::simulation::Scene;
-use harness::spec::{self, Task};
+use harness::spec::{self, Modality, Task};
 use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -82,11 +82,11 @@ pub fn figures(
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
     let paper = Experiments::of_the_paper(quick);
     let experiments = Experiments {
-        single_to_multi: single.unwrap_or(paper.single_to_multi),
-        multi_to_multi: multi.unwrap_or(paper.multi_to_multi),
-        readings: paper.readings,
+        single_to_multi: single.unwrap_or_else(|| paper.single_to_multi.clone()),
+        multi_to_multi: multi.unwrap_or_else(|| paper.multi_to_multi.clone()),
+        ..paper
     };
-    let all: Vec<String> = experiments.names().into_iter().chain([experiments.readings.clone()]).collect();
+    let all = experiments.all();
     let selection = Selection { experiments: all.clone(), settings, simulated: true, trained: all };
     let draw = || -> Result<Drawn, AnalysisError> {
         let analysis = Analysis::new(&registry, &selection)?;
@@ -107,6 +107,34 @@ pub fn figures(
     Ok(drawn)
 }
 
+/// A value of a user's metric: the modality, the horizon, the modalities that the model got, and the value.
+type Valued = (String, usize, Option<String>, Option<f64>);
+
+/// Writes the values of a user's metric to the tables of a run; see `harness.add_metric`.
+#[pyfunction]
+pub fn add_metric(
+    py: Python,
+    run: &str,
+    name: String,
+    unit: String,
+    values: Vec<Valued>,
+    results: PathBuf,
+) -> PyResult<()> {
+    let registry = existing(results)?;
+    let value = |(modality, horizon, given, value): Valued| {
+        let known = Modality::new(&modality);
+        let modality = known.ok_or_else(|| PyValueError::new_err(format!("'{modality}' is no modality")))?;
+        Ok(OwnValue { modality, horizon, given, value })
+    };
+    let values = values.into_iter().map(value).collect::<PyResult<Vec<_>>>()?;
+    let metric = OwnMetric { name, unit, values };
+    let add = || -> Result<(), RegistryError> {
+        let (folder, _) = registry.find(run)?;
+        registry.add_metric(&folder, &metric)
+    };
+    interruptible(py, add, || ())?.map_err(Raise::raise)
+}
+
 /// Draws a metric over a key, to a file; see `harness.plot`.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "they are those of `harness.plot`, where each has its name")]
@@ -125,10 +153,10 @@ pub fn plot(
     results: PathBuf,
 ) -> PyResult<()> {
     let plot = Plot {
-        x: one_named("key", x, &Key::ALL, Key::name)?,
-        y: y.parse().map_err(PyValueError::new_err)?,
-        by: by.iter().map(|key| one_named("key", key, &Key::ALL, Key::name)).collect::<PyResult<_>>()?,
-        facet: facet.map(|key| one_named("key", key, &Key::ALL, Key::name)).transpose()?,
+        x: key(x)?,
+        y: y.to_owned(),
+        by: by.iter().map(|name| key(name)).collect::<PyResult<_>>()?,
+        facet: facet.map(key).transpose()?,
         task: task.map(|task| one_named("task", task, Task::ALL, Task::name)).transpose()?,
         modality,
         models: named("model", &models, &models::ALL, |name| name)?.into_iter().map(str::to_owned).collect(),
@@ -141,6 +169,11 @@ pub fn plot(
     };
     interruptible(py, draw, || ())??;
     warn(py, &registry)
+}
+
+/// The key of a plot with this name.
+fn key(name: &str) -> PyResult<Key> {
+    name.parse().map_err(PyValueError::new_err)
 }
 
 /// Writes the page of a results folder, or of some of its experiments; see `harness.report`.
@@ -216,6 +249,7 @@ pub fn collect(
     quick: bool,
     results: PathBuf,
     progress: bool,
+    workers: Option<usize>,
 ) -> PyResult<Vec<(PathBuf, usize)>> {
     let experiment = spec::load_task(&path, &overrides, quick).map_err(Raise::raise)?;
     let registry = writable(results)?;
@@ -227,7 +261,8 @@ pub fn collect(
             let scene = Scene::new(world).map_err(Raise::raise)?;
             scene.check(&simulation).map_err(Raise::raise)?;
             let dataset = dataset_of(&registry.datasets(), &scene, &simulation);
-            let made = collect_episodes(&dataset, &scene, rayon::current_num_threads(), &listener);
+            let threads = workers.unwrap_or_else(rayon::current_num_threads);
+            let made = collect_episodes(&dataset, &scene, threads, &listener);
             let made = made.map_err(|error| PyRuntimeError::new_err(describe(&error)))?;
             collected.push((dataset.folder().to_owned(), made));
         }

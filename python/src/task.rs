@@ -10,7 +10,7 @@ use harness::experiment::{
 };
 use harness::registry::{Registry, quoted};
 use harness::samples::Samples;
-use harness::spec::{self, IMAGE_CHANNELS, Modality, WindowStart};
+use harness::spec::{self, IMAGE_CHANNELS, Modality};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use serde_json::json;
@@ -69,13 +69,6 @@ impl Task {
                 registry.datasets().display()
             )));
         }
-        let window = task.spec().window;
-        if window.start == WindowStart::Rest && window.context > 1 {
-            return Err(PyValueError::new_err(
-                "window.start: rest gives every window another number of samples; use random, or judge a file of \
-                 predictions with `harness judge`",
-            ));
-        }
         let name = task.name();
         let work = || runner.open_task(task);
         let open = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
@@ -110,6 +103,7 @@ impl Task {
             "context": spec.window.context,
             "horizon": spec.window.horizon,
             "horizons": spec.window.horizons(),
+            "start": spec.window.start.name(),
             "action": spec.action,
             "split": spec.split,
             "modalities": modalities,
@@ -140,9 +134,9 @@ impl Task {
     fn windows<'py>(&self, py: Python<'py>, part: &str) -> PyResult<Bound<'py, PyAny>> {
         let partition = self.open.windows();
         let windows = match part {
-            "training" => partition.training,
-            "validation" => partition.validation,
-            "test" => partition.test,
+            "training" => &partition.training,
+            "validation" => &partition.validation,
+            "test" => &partition.test,
             _ => {
                 let allowed = "training, validation, test";
                 return Err(PyValueError::new_err(format!("part: there is no '{part}'; allowed: {allowed}")));
@@ -160,7 +154,7 @@ impl Task {
     }
 
     /// Judges predictions of the test windows. Returns the name of the run, and whether it was done before.
-    #[pyo3(signature = (predictions, model, seed, notes, command, progress))]
+    #[pyo3(signature = (predictions, model, seed, notes, network, command, progress))]
     #[expect(clippy::too_many_arguments, reason = "they are those of `harness.PredictionTask.submit`")]
     fn judge(
         &self,
@@ -169,6 +163,7 @@ impl Task {
         model: String,
         seed: u64,
         notes: BTreeMap<String, String>,
+        network: Option<PathBuf>,
         command: Vec<String>,
         progress: bool,
     ) -> PyResult<(String, bool)> {
@@ -188,7 +183,8 @@ impl Task {
         let listener = Listener::new(progress, &cancelled);
         let threads = rayon::current_num_threads();
         let task = Some(self.open.task().hash());
-        let external = External { model, seed, notes, task, predictions: Predictions::Windows(values) };
+        let predictions = Predictions::Windows(values);
+        let external = External { model, seed, notes, task, network, predictions };
         let work = || {
             let provenance = provenance(threads, quoted(command.iter().map(String::as_str)));
             let runner = Runner::new(&self.registry, threads, &provenance, &listener);

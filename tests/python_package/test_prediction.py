@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -86,10 +87,40 @@ def test_images_and_their_changes_are_in_windows(results: Path, folders: dict[st
     assert np.array_equal(targets["frame_difference"][:, 0], change)
 
 
-@pytest.mark.parametrize("has_images", [False, True])
-def test_our_own_network_gets_its_own_metrics(has_images: bool, copy: Path) -> None:
-    """To the last digit. Those of images have rounding errors, because `Model` gets them as numbers, not as bytes."""
-    changes = {} if has_images else {"input": ["proprioception", "arm"], "output": ["proprioception", "contact_force"]}
+def judged(results: Path, architecture: str) -> dict[str, polars.DataFrame]:
+    """The tables of the run of seed 7 of a model, without the columns that name it."""
+    tables = {}
+    for table in ("all_metrics", "all_predictions", "frames", "forces"):
+        condition = "task = 'prediction' and" if table != "forces" else ""
+        sql = f"select * from {table} where {condition} seed = 7 and architecture = '{architecture}'"
+        rows = harness.query(sql, results).drop("run", "architecture", "latent", "variant")
+        keys = [name for name in rows.columns if name not in ("value", "reference", "predicted")]
+        tables[table] = rows.sort(keys, nulls_last=True)
+    return tables
+
+
+def predictions_table(task: PredictionTask, predicted: dict[str, np.ndarray]) -> polars.DataFrame:
+    """The rows of a file of predictions of the next sample, `[windows, ...]` for each output."""
+    present = task.test_inputs().samples
+    bounds = task.bounds()
+    episode = np.searchsorted(bounds[:, 0], present, side="right") - 1
+    sample = present + 1 - bounds[episode, 0]
+    tables = []
+    for name, values in predicted.items():
+        windows, width = len(values), values[0].size
+        columns = {"episode": np.repeat(episode, width), "sample": np.repeat(sample, width)}
+        columns |= {"index": np.tile(np.arange(width), windows), "value": np.ascontiguousarray(values).ravel()}
+        tables.append(polars.DataFrame(columns).with_columns(modality=polars.lit(name)))
+    return polars.concat(tables)
+
+
+IMAGES_OF_BOTH_KINDS = {"input": ["proprioception", "vision", "frame_difference"], "output": ["vision", "arm"]}
+ONLY_VECTORS = {"input": ["proprioception", "arm"], "output": ["proprioception", "contact_force"]}
+
+
+@pytest.mark.parametrize("changes", [{}, ONLY_VECTORS, IMAGES_OF_BOTH_KINDS], ids=["smoke", "vectors", "changes"])
+def test_our_own_network_gets_its_own_metrics(changes: dict[str, Any], copy: Path, tmp_path: Path) -> None:
+    """To the last digit, whether its predictions come from Python or from a file."""
     overrides = {**changes, "seeds": 7, "scenarios": "empty"}
     assert harness.run(SMOKE, overrides, results=copy, progress=False) == (1, 0)
     task = harness.task(SMOKE, overrides, results=copy)
@@ -102,22 +133,18 @@ def test_our_own_network_gets_its_own_metrics(has_images: bool, copy: Path) -> N
     run, was_done = task.submit(predict, model="twin", seed=7, progress=False)
     assert run.startswith("smoke/empty-model=twin-seed7-") and not was_done
     assert task.submit(predict, model="twin", seed=7, progress=False) == (run, True)
-    for table in ("all_metrics", "all_predictions", "frames", "forces"):
-        condition = "task = 'prediction' and " if table != "forces" else ""
-        sql = f"select * from {table} where {condition} seed = 7 and architecture = '{{}}'"
-        keys = ["run", "architecture", "latent", "variant"]
-        values = ["value", "reference", "predicted"]
-        found = [harness.query(sql.format(name), copy).drop(keys) for name in ("multi_to_multi", "twin")]
-        order = [name for name in found[0].columns if name not in values]
-        ours, theirs = (rows.sort(order, nulls_last=True) for rows in found)
-        assert ours.height > 0 or (table == "frames" and not has_images), table
-        if not has_images or table not in ("all_metrics", "all_predictions"):
-            assert ours.equals(theirs), table
-        else:
-            assert ours.select(order).equals(theirs.select(order)), table
-            name = next(name for name in ("value", "predicted") if name in ours)
-            # Counts of pixels and other exact values are equal as well.
-            assert np.allclose(ours[name].to_numpy(), theirs[name].to_numpy(), rtol=1e-4, atol=1e-6, equal_nan=True)
+    context, actions, _ = task.test_inputs()[:]
+    predicted = {name: values[:, 0] for name, values in predict(context, actions).items()}
+    file = tmp_path / "predictions.parquet"
+    predictions_table(task, predicted).write_parquet(file)
+    task.save(tmp_path / "task.yaml")
+    words = ["judge", tmp_path / "task.yaml", file, "--model", "filed", "--seed", "7", "--task", task.hash]
+    subprocess.run([sys.executable, "-m", "harness", "--results", copy, *words], check=True, capture_output=True)
+    own = judged(copy, "multi_to_multi")
+    assert own["all_metrics"].height > 50 and own["frames"].height == (0 if changes is ONLY_VECTORS else 5)
+    for name in ("twin", "filed"):
+        for table, rows in judged(copy, name).items():
+            assert own[table].equals(rows), (name, table)
     assert harness.verify(copy) == []
 
 
@@ -356,6 +383,40 @@ def test_tasks_that_do_not_exist_are_refused(copy: Path, folders: dict[str, Path
             call()
 
 
+def test_predictions_that_return_late_are_refused(copy: Path) -> None:
+    task = vectors(copy)
+    runs: list[str] = []
+
+    def predict(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+        # While the model computes, somebody submits other predictions of a model with its name.
+        runs.append(task.submit(last, model="slow", progress=False).run)
+        before.update(files(copy))
+        return {name: values + 0.1 for name, values in last(context, actions).items()}
+
+    before: dict[Path, int] = {}
+    with pytest.raises(ValueError, match="has other predictions of this model .*harness.*rm smoke/"):
+        task.submit(predict, model="slow", batch_size=1000, progress=False)
+    assert files(copy) == before and len(runs) == 1
+    assert harness.query("select count(*) from runs where architecture = 'slow'", copy).item() == 1
+    # Predictions that are the same are no other ones.
+    assert task.submit(last, model="slow", progress=False) == (runs[0], True)
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit, MemoryError, GeneratorExit, RecursionError])
+def test_a_submission_that_ends_halfway_leaves_nothing(kind: type[BaseException], results: Path) -> None:
+    task, batches, before = vectors(results), [], files(results)
+
+    def predict(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+        batches.append(len(actions))
+        if len(batches) == 3:
+            raise kind
+        return last(context, actions)
+
+    with pytest.raises(kind):
+        task.submit(predict, model="halfway", batch_size=7, progress=False)
+    assert batches == [7, 7, 7] and files(results) == before
+
+
 def test_a_killed_submission_leaves_nothing(copy: Path) -> None:
     before = files(copy)
     script = f"""
@@ -372,6 +433,168 @@ def test_the_example_for_scikit_learn_works(copy: Path) -> None:
     check_example("scikit_learn", ["proprioception", "arm", "vision"], copy)
     models = set(harness.query("select distinct architecture from runs", copy)["architecture"])
     assert models == {"multi_to_multi", "random_forest", "nearest_neighbors", "mlp"}
+
+
+def within(reference: np.ndarray, predicted: np.ndarray) -> float:
+    """The share of predictions that are wrong by less than 0.1, in %."""
+    return 100 * float((np.abs(reference - predicted) < 0.1).mean())
+
+
+def test_a_metric_of_ones_own_is_in_every_table(copy: Path, tmp_path: Path) -> None:
+    task = vectors(copy)
+    for seed in range(2):
+        task.submit(last, model="last", seed=seed, progress=False)
+    before = harness.query("select * from all_metrics order by all", copy)
+    assert harness.add_metric(within, "smoke", name="within", unit="%", results=copy) == 4
+    rows = harness.query("select * from all_metrics where metric = 'within'", copy)
+    assert set(rows["unit"]) == {"%"} and set(rows["model"]) == {"network"}
+    assert {(row["architecture"], row["horizon"]) for row in rows.to_dicts()} == {
+        ("multi_to_multi", 0), ("multi_to_multi", 1), ("last", 1), ("last", 2), ("last", 5)
+    }
+    # The values are those of the stored predictions, computed with SQL.
+    sql = """
+        select run, modality, task, horizon, 100 * avg(case when abs(reference - predicted) < 0.1 then 1.0 else 0.0 end)
+          as value from all_predictions group by run, modality, task, horizon order by run, modality, task, horizon
+    """
+    wanted = harness.query(sql, copy)
+    found = rows.select(wanted.columns).sort("run", "modality", "task", "horizon")
+    assert found.drop("value").equals(wanted.drop("value"))
+    assert found["value"].to_list() == pytest.approx(wanted["value"].to_list())
+    # Nothing else changed, and the files are intact.
+    assert harness.query("select * from all_metrics where metric <> 'within' order by all", copy).equals(before)
+    assert harness.verify(copy) == []
+    means = task.compare().filter(metric="within", variant="model=last", modality="proprioception")
+    assert (means["seeds"].item(), means["unit"].item()) == (2, "%")
+    harness.plot("smoke", x="variant", y="within", by=["modality"], where={"window.horizon": 5},
+                 output=tmp_path / "within.csv", results=copy)
+    assert "model=last" in (tmp_path / "within.csv").read_text()
+    page = harness.report("smoke", output=tmp_path / "report.html", results=copy, progress=False)
+    assert '"within"' in page.read_text()
+    command = [sys.executable, "-m", "harness", "--results", copy, "compare", "smoke", "--metrics", "within,r2"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "within (%)" in answer.stdout and "within (%) ↓" not in answer.stdout
+    # A metric of the same name replaces the first one, in the runs that are named.
+    run = rows.filter(architecture="last")["run"][0]
+    assert harness.add_metric(lambda *of: None, f"smoke/{run}", name="within", results=copy) == 1
+    rows = harness.query("select * from all_metrics where metric = 'within'", copy)
+    assert rows.filter(run=run)["value"].null_count() == rows.filter(run=run).height == 6
+    assert rows.height == found.height and harness.verify(copy) == []
+    # The runs are still done.
+    assert harness.run(SMOKE, results=copy, progress=False) == (0, 2)
+
+
+def test_runs_are_intact_when_adding_a_metric_is_killed(copy: Path) -> None:
+    script = f"""
+        import harness
+        print("begin", flush=True)
+        for value in range(1_000_000):
+            harness.add_metric(lambda *of: value, "smoke", name="steps", results={str(copy)!r})
+    """
+    for delay in (0.3, 0.5, 0.7, 1.1):
+        adding = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE, text=True)
+        assert adding.stdout is not None and adding.stdout.readline() == "begin\n"
+        time.sleep(delay)
+        adding.kill()
+        adding.wait()
+        adding.stdout.close()
+        assert [problem for problem in harness.verify(copy) if ".unfinished" not in problem.path.name] == []
+    values = harness.query("select distinct value from metrics where metric = 'steps'", copy)["value"]
+    assert len(values) in (1, 2)
+    assert harness.add_metric(lambda *of: -1, "smoke", name="steps", results=copy) == 2
+    values = harness.query("select distinct value from metrics where metric = 'steps'", copy)["value"]
+    assert values.to_list() == [-1]
+    assert harness.run(SMOKE, results=copy, progress=False) == (0, 2)
+
+
+def test_metrics_that_can_not_be_added_are_refused(copy: Path) -> None:
+    before = files(copy)
+    good: dict[str, Any] = {"name": "within", "results": copy}
+    for error, words, call in [
+        (TypeError, "must be a function", lambda: harness.add_metric(3, "smoke", **good)),  # type: ignore[arg-type]
+        (ValueError, "name: 'Within 1 N' must be", lambda: harness.add_metric(within, "smoke", name="Within 1 N")),
+        (ValueError, "'r2' is a metric of the harness", lambda: harness.add_metric(within, "smoke", name="r2")),
+        (ValueError, "'mae_ground' is a metric", lambda: harness.add_metric(within, "smoke", name="mae_ground")),
+        (ValueError, "unit: '' must be", lambda: harness.add_metric(within, "smoke", unit="", **good)),
+        (KeyError, "no finished run matches 'smok/'", lambda: harness.add_metric(within, "smok/", **good)),
+        (KeyError, "no finished run matches ''", lambda: harness.add_metric(within, "", **good)),
+        (ValueError, "no stored predictions of vision; those of images",
+         lambda: harness.add_metric(within, "smoke", modality="vision", **good)),
+        (TypeError, "returned a ndarray for smoke/", lambda: harness.add_metric(np.subtract, "smoke", **good)),
+        (ValueError, "returned inf for smoke/", lambda: harness.add_metric(lambda *of: np.inf, "smoke", **good)),
+        (ZeroDivisionError, "division", lambda: harness.add_metric(lambda *of: 1 / 0, "smoke", **good)),
+    ]:
+        with pytest.raises(error, match=words) as raised:
+            call()
+        assert "\n" not in str(raised.value)
+    assert files(copy) == before
+
+
+def test_windows_from_rest_have_all_samples_since_the_start(copy: Path, folders: dict[str, Path]) -> None:
+    overrides = {**AHEAD, "network.memory": "gru", "window.start": "rest", "scenarios": "empty"}
+    task = harness.task(SMOKE, overrides, results=copy)
+    data = harness.Dataset(folders["empty"])
+    assert task.start == "rest" and [len(part) for part in (task.train(), task.test_inputs())] == [50, 25]
+    assert task.train().samples.tolist() == [*range(25), *range(30, 55)]
+    context, actions, targets = task.train()[[3, 26, 24]]
+    assert context["length"].tolist() == [4, 2, 25] and context["arm"].shape[:2] == (3, 25)
+    steps = np.diff(data["setpoint"], axis=0)
+    for row, present in enumerate((3, 31, 24)):
+        first, length = 30 * (present // 30), int(context["length"][row])
+        assert np.array_equal(context["proprioception"][row, -length:], data["proprioception"][first : present + 1])
+        assert (context["proprioception"][row, : 25 - length] == data["proprioception"][first]).all()
+        assert np.array_equal(context["action"][row, 25 - length :], steps[first:present])
+        assert (context["action"][row, : 25 - length] == 0).all()
+        assert np.array_equal(targets["arm"][row], data["arm"][present + 1 : present + 6])
+        assert np.array_equal(actions[row], steps[present : present + 5])
+    alone = task.train()[3]
+    assert alone.context["arm"].shape[0] == 4 and alone.context["action"].shape == (3, 3)
+    # A model that uses only the present sample gets the same metrics as in a window of one sample.
+    short = harness.task(SMOKE, {**AHEAD, "window.context": 1, "scenarios": "empty"}, results=copy)
+    values = []
+    for each, seed in ((task, 1), (short, 2)):
+        def predict(context: Arrays, actions: np.ndarray) -> dict[str, np.ndarray]:
+            return {**last(context, actions), "arm": np.repeat(context["arm"][:, -1:], actions.shape[1], 1)}
+
+        assert len(each.test_inputs()) == 25
+        each.submit(predict, model="now", seed=seed, batch_size=7, progress=False)
+        sql = "select horizon, modality, metric, index, value from all_metrics where model = 'network'"
+        values.append(harness.query(f"{sql} and architecture = 'now' and seed = {seed} order by all", copy))
+    assert values[0].height > 100 and values[0].equals(values[1])
+
+
+def test_the_file_of_a_model_goes_with_its_run(copy: Path, tmp_path: Path) -> None:
+    """From Python and from the command line, and through a pack."""
+    task = vectors(copy)
+    (tmp_path / "net.onnx").write_bytes(b"layers and weights")
+    (tmp_path / "net.txt").write_bytes(b"layers and weights")
+    context, actions, _ = task.test_inputs()[:]
+    task.save(tmp_path / "task.yaml")
+    tables = []
+    for step, horizon in enumerate(range(1, 6)):
+        found = {name: values[:, step] for name, values in last(context, actions).items()}
+        ahead = polars.lit(horizon).cast(polars.Int64)
+        tables.append(predictions_table(task, found).with_columns(polars.col("sample") + step, horizon=ahead))
+    polars.concat(tables).filter(polars.col("horizon").is_in(task.horizons)).write_parquet(tmp_path / "found.parquet")
+
+    def call(*words: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "harness", "--results", copy, *words]
+        return subprocess.run(list(map(str, command)), cwd=tmp_path, capture_output=True, text=True)
+
+    before = files(copy)
+    judge = ("judge", "task.yaml", "found.parquet", "--model", "filed", "--network")
+    refused = call(*judge, "net.txt")
+    assert refused.returncode == 2 and "must end in one of .onnx, .pt, .pt2" in refused.stderr, refused.stderr
+    assert files(copy) == before
+    answer = call(*judge, "net.onnx")
+    assert answer.returncode == 0, answer.stderr
+    task.submit(last, model="called", network=tmp_path / "net.onnx", progress=False)
+    answer = call("pack", task.experiment, "--output", "all.harness")
+    assert answer.returncode == 0, answer.stderr
+    assert call("unpack", "all.harness", "--results", tmp_path / "unpacked").returncode == 0
+    for results in (copy, tmp_path / "unpacked"):
+        attached = sorted((results / "runs" / task.experiment).glob("*/network.onnx"))
+        assert [path.read_bytes() for path in attached] == [b"layers and weights"] * 2
+    assert harness.verify(copy) == []
 
 
 def test_examples_have_less_than_60_lines() -> None:
