@@ -119,6 +119,30 @@ fn each_reading_and_role_keeps_the_forces_of_one_run_a_dataset() {
 }
 
 #[test]
+fn networks_are_copied_if_they_are_asked_for() {
+    let (with, without) = (fresh("published-networks"), fresh("published-no-networks"));
+    let to = |copy: &Path| ["publish", "smoke", "--output", copy.to_str().unwrap()].map(str::to_owned);
+    let [with_arguments, without_arguments] = [&with, &without].map(|copy| to(copy));
+    let arguments: Vec<&str> = with_arguments.iter().map(String::as_str).chain(["--networks"]).collect();
+    succeed(&RESULTS, &arguments);
+    succeed(&RESULTS, &without_arguments.each_ref().map(String::as_str));
+    let folder = tempfile::tempdir().unwrap();
+    let onnx = |results: &Path, name: &str| {
+        let path = folder.path().join(name);
+        let run = "smoke/empty-z4-seed3";
+        let export = ["export", "--format", "onnx", run, path.to_str().unwrap()];
+        let answer = finish(&mut harness(results, &export));
+        (answer.code, answer.stderr, std::fs::read(path).unwrap_or_default())
+    };
+    let (original, copied) = (onnx(&RESULTS, "original.onnx"), onnx(&with, "copied.onnx"));
+    assert_eq!((original.0, copied.0), (0, 0), "{} {}", original.1, copied.1);
+    assert!(original.2 == copied.2);
+    let (code, said, _) = onnx(&without, "none.onnx");
+    assert!(code == 1 && said.contains("unless they were published with --networks"), "{code} {said}");
+    succeed(&with, &["verify"]);
+}
+
+#[test]
 fn publishing_again_changes_nothing() {
     let copy = fresh("published-twice");
     publish(&copy);
@@ -140,7 +164,7 @@ fn republishing_keeps_chosen_runs_and_the_copy_of_a_damaged_one() {
         records.iter().map(|record| results.join("runs/smoke").join(&record.run)).collect();
     let publish = || {
         let chosen = folders.iter().map(PathBuf::as_path).zip(&records);
-        registry.publish(chosen, &Registry::new(&copy), &Silent).map(|published| published.runs)
+        registry.publish(chosen, &Registry::new(&copy), false, &Silent).map(|published| published.runs)
     };
     assert_eq!(publish().unwrap(), 2);
     let before = files(&copy);

@@ -18,6 +18,9 @@ pub struct Publish {
     /// The folder to copy to. Other commands read it with --results
     #[arg(long, short, alias = "to", value_name = "DIR", default_value = "results/reference")]
     output: PathBuf,
+    /// Copy the trained networks, too, so that `load_model` and `export` work with the copies
+    #[arg(long)]
+    networks: bool,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
@@ -36,7 +39,7 @@ impl Publish {
             chosen.extend(analysis.runs(experiment).iter().map(|run| (run.folder(), &run.record)));
         }
         let to = Registry::new(&self.output);
-        let Published { runs, bytes } = registry.publish(chosen, &to, &Bars::default())?;
+        let Published { runs, bytes } = registry.publish(chosen, &to, self.networks, &Bars::default())?;
         for left_out in to.left_out() {
             eprintln!("warning: {left_out}");
         }

@@ -1,6 +1,6 @@
 //! The files of a run's trained networks, and the networks as ONNX models.
 
-use crate::model::{ModelError, finished, without_memory};
+use crate::model::{ModelError, finished};
 use harness_learning::network::architecture;
 use harness_learning::network::description::Description;
 use harness_learning::onnx::{self, Described};
@@ -32,13 +32,37 @@ pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFil
     record.spec.tasks.iter().map(file).collect()
 }
 
+/// Whether a run whose id, or `experiment/id`, begins with `wanted` may have a network. Published copies have one only
+/// if it was published with them.
+pub fn may_have_network(registry: &Registry, wanted: &str) -> bool {
+    let may_have = |record: &RunRecord| !record.published || record.has_network();
+    registry.matching(wanted).is_ok_and(|found| found.iter().any(|(_, record)| may_have(record)))
+}
+
+/// Returns the path of the file that was attached to the finished run of an external model whose id, or
+/// `experiment/id`, begins with `wanted`. `None` if the harness trained the run's network.
+///
+/// # Errors
+/// When no run or several runs match, none was attached, or the file is damaged.
+pub fn attached(registry: &Registry, wanted: &str) -> Result<Option<PathBuf>, ModelError> {
+    let (folder, record) = registry.find(wanted)?;
+    if record.spec.trained().is_none() && record.published {
+        return Err(ModelError::NoNetwork(folder.path().to_owned()));
+    }
+    match (record.spec.trained(), record.attached(folder.path())?) {
+        (Some(_), _) => Ok(None),
+        (None, None) => Err(ModelError::NotAttached(record.run)),
+        (None, attached) => Ok(attached),
+    }
+}
+
 /// Returns the bytes of an ONNX model of the finished run whose id, or `experiment/id`, begins with `wanted`. It
 /// predicts the next observation, or reconstructs the present one, as `task` says.
 ///
 /// # Errors
 /// Those of [`network_files`], and when the run did not train `task`.
 pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, ModelError> {
-    let (folder, record, trained) = without_memory(finished(registry, wanted)?)?;
+    let (folder, record, trained) = finished(registry, wanted)?;
     if !record.spec.tasks.contains(&task) {
         return Err(ModelError::NoReconstruction { run: record.run, tasks: record.spec.tasks });
     }

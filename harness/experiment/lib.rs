@@ -4,12 +4,14 @@ mod evaluate;
 mod export;
 mod external;
 mod model;
+mod rollout;
 mod schedule;
 mod search;
 
-pub use export::{NetworkFile, network_files, onnx};
+pub use export::{NetworkFile, attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
 pub use model::{Model, ModelError, Values};
+pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};
 
@@ -39,6 +41,7 @@ use harness_simulation::{Scene, SimulationError, mujoco_version};
 use harness_spec::{Device, Experiment, Layout, Origin, RunSpec, Simulation, Task, Trained, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -169,6 +172,8 @@ pub struct Planned {
     pub folder: RunFolder,
     /// Whether to run, resume or skip it, and why.
     pub decision: Decision,
+    /// Position of the run's variant among those of the experiment.
+    place: usize,
     /// The record that the run had when it was planned.
     record: Option<RunRecord>,
     source: Arc<Source>,
@@ -305,9 +310,12 @@ impl<'a> Runner<'a> {
         let decided: Vec<_> = runs.par_iter().zip(&standings).map(decide).collect();
         known.remember();
         let parts = runs.into_iter().zip(standings).zip(sources).zip(decided);
+        let mut places: HashMap<String, usize> = HashMap::new();
         let planned = parts.map(|(((rungs, standing), source), (decision, record))| {
             let (folder, spec) = rungs[standing.rung].clone();
-            Planned { spec, folder, decision, record, source, rungs, standing }
+            let next = places.len();
+            let place = *places.entry(spec.variant.clone()).or_insert(next);
+            Planned { spec, folder, decision, place, record, source, rungs, standing }
         });
         planned.collect()
     }
@@ -511,6 +519,7 @@ impl TrainingRun<'_> {
             data,
             network: network.map_err(LearningError::from)?,
             window: spec.window,
+            rollout_stride: training.rollout_stride,
             input: &spec.input,
             output: &spec.output,
             kl_weight: training.kl_weight,

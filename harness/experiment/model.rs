@@ -1,13 +1,13 @@
 //! A trained network, applied to observations from any source, in physical units.
 
 use candle_core::{Device, Tensor};
-use harness_learning::frames::DenseFrames;
 use harness_learning::network::{
     Architecture, Decoder, Encoder, Observation, Parameters, Value, architecture,
 };
-use harness_learning::ops::arithmetic;
 use harness_learning::random::{Random, Stream};
 use harness_learning::{LearningError, checkpoint, predict};
+use harness_ops::arithmetic;
+use harness_ops::frames::DenseFrames;
 use harness_registry::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use harness_samples::Normalizers;
 use harness_spec::{IMAGE_CHANNELS, Memory, Modality, Precision, Task, Trained};
@@ -39,14 +39,20 @@ pub enum ModelError {
     /// The run's model is one of another program.
     #[error("the predictions of {0} come from another program, so the harness has no network of it")]
     External(String),
+    /// The run's model is one of another program, and its file was not attached.
+    #[error(
+        "the predictions of {0} come from another program, and no file of its model was attached to them"
+    )]
+    NotAttached(String),
     /// The run's network has a memory.
     #[error(
-        "the network of {0} has a memory; only networks without one can be exported as ONNX or applied to single \
-         observations so far"
+        "the network of {0} has a memory, so it can't be applied to single observations; use harness.load_network, or \
+         export it as an ONNX model"
     )]
     Memory(String),
     /// The run has no checkpoint at this path.
-    #[error("there is no network at {}; published results have no networks, so train the run again", .0.display())]
+    #[error("there is no network at {}; published results have none unless they were published with --networks; to \
+         train it, run its experiment again", .0.display())]
     NoNetwork(PathBuf),
     /// The run has no network for reconstruction.
     #[error(
@@ -202,11 +208,14 @@ impl Model {
             })?;
             let definition = &self.record.layout[modality];
             check(modality.name(), batch, definition.width(), values)?;
-            let mut values = values.clone();
-            self.normalizers.modalities[&modality].normalize(&mut values);
+            let (mut values, scale) = (values.clone(), &self.normalizers.modalities[&modality]);
             let value = match definition.size() {
-                Some(size) => Value::Frames(Arc::new(DenseFrames::from_values(values, IMAGE_CHANNELS, size))),
+                Some(size) => {
+                    scale.normalize_images(&mut values);
+                    Value::Frames(Arc::new(DenseFrames::from_values(values, IMAGE_CHANNELS, size)))
+                }
                 None => {
+                    scale.normalize(&mut values);
                     let vector = Tensor::from_vec(values, (batch, definition.width()), &Device::Cpu);
                     Value::Vector(vector.map_err(LearningError::from)?)
                 }
@@ -231,17 +240,17 @@ pub(crate) fn finished(
 }
 
 /// Refuses a run whose network has a memory.
-pub(crate) fn without_memory(
+fn without_memory(
     (folder, record, trained): (RunFolder, RunRecord, Trained),
 ) -> Result<(RunFolder, RunRecord, Trained), ModelError> {
     match trained.network.memory {
         Memory::None => Ok((folder, record, trained)),
-        Memory::Gru => Err(ModelError::Memory(record.run)),
+        Memory::Window | Memory::Gru | Memory::Rssm => Err(ModelError::Memory(record.run)),
     }
 }
 
 /// Returns the network that a run trained for `task`. It computes in f32, whatever the precision of the training.
-fn applied(record: &RunRecord, trained: &Trained, task: Task) -> Architecture {
+pub(crate) fn applied(record: &RunRecord, trained: &Trained, task: Task) -> Architecture {
     Architecture {
         arithmetic: arithmetic(trained.training.tiles, Precision::F32),
         ..architecture(&record.spec, trained, &record.layout, task)
@@ -259,7 +268,7 @@ impl From<LearningError> for ModelError {
 }
 
 /// Loads the parameters of a network and returns its normalizers. Fails if there is no file at `path`.
-fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
+pub(crate) fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
     if !path.exists() {
         return Err(ModelError::NoNetwork(path.to_owned()));
     }

@@ -2,7 +2,7 @@
 //! results folder.
 
 use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes};
-use harness_collection::check_rendering;
+use harness_collection::check_missing;
 use harness_dataset::AnyDataset;
 use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::files::FolderLock;
@@ -135,7 +135,7 @@ impl Runner<'_> {
                  than on new data",
             );
         }
-        self.check_rendering(&pending)?;
+        self.check_missing(&pending)?;
         let mut changed = BTreeSet::new();
         loop {
             let mut held = Vec::new();
@@ -167,15 +167,15 @@ impl Runner<'_> {
         }
     }
 
-    /// Checks that the images that runs need can be rendered, so that a missing driver is reported once.
-    fn check_rendering(&self, pending: &[&Planned]) -> Result<(), ExperimentError> {
+    /// Checks that the episodes that runs need can be simulated, so that a missing driver is reported once.
+    fn check_missing(&self, pending: &[&Planned]) -> Result<(), ExperimentError> {
         let mut sources: Vec<&Arc<Source>> = pending.iter().map(|planned| &planned.source).collect();
         sources.dedup_by(|a, b| Arc::ptr_eq(a, b));
         let datasets = sources.into_iter().filter_map(|source| match &source.dataset {
             AnyDataset::Simulated(dataset) => Some(dataset),
             AnyDataset::Imported(_) => None,
         });
-        Ok(check_rendering(datasets)?)
+        Ok(check_missing(datasets)?)
     }
 
     /// Whether no further run is tried, because one failed.
@@ -356,6 +356,7 @@ impl WorkerPool<'_> {
         }
         let provenance = Provenance { world_file: planned.source.world_file(), ..self.provenance.clone() };
         let record = claimed.begin(spec, planned.layout(), &provenance)?;
+        let record = RunRecord { place: planned.place, ..record };
         planned.earlier().any(|earlier| claimed.take_state(earlier, Task::Prediction));
         let end =
             self.train(planned, &claimed).and_then(|outcome| Ok(claimed.finish(record.clone(), &outcome)?));

@@ -7,7 +7,7 @@ use super::{
 };
 use harness_shared::files::{FolderLock, write_bytes, write_whole};
 use harness_spec::{Layout, RunSpec, Task};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A run whose folder this value has locked. Everything that a run writes is written by this value, or to the paths
@@ -87,6 +87,14 @@ impl Claimed<'_> {
         }
         record.write(&path.join(RECORD))?;
         Ok(record)
+    }
+
+    /// Copies the file of a model of another program to this run.
+    ///
+    /// # Errors
+    /// When the file can't be read or written.
+    pub fn attach(&self, file: &Path, name: &str) -> Result<(), RegistryError> {
+        Ok(write_whole(&self.folder.path.join(name), |copy| std::fs::copy(file, copy).map(drop))?)
     }
 
     /// Copies the saved state of a shorter training to this run, if it has one and this run has none. Returns whether

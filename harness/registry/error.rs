@@ -83,6 +83,14 @@ pub enum RegistryError {
     /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
     #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
     NotPublished(PathBuf),
+    /// A metric can't be added to a run.
+    #[error("{} can't get a metric: {problem}", path.display())]
+    NoMetric {
+        /// The run's folder.
+        path: PathBuf,
+        /// Why.
+        problem: &'static str,
+    },
     /// The wanted text is the beginning of several runs' names.
     #[error("'{wanted}' matches several runs: {}; name one of them", first(matches))]
     Ambiguous {

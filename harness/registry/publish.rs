@@ -1,6 +1,6 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
-use super::record::{RunRecord, WorldOf};
+use super::record::{RunRecord, WorldOf, is_network};
 use super::{RECORD, Registry, RegistryError, SPEC, removed};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::Progress;
@@ -20,8 +20,8 @@ pub struct Published {
 }
 
 impl Registry {
-    /// Copies `chosen` runs of this registry to the registry `to`: records, specs and tables, but no networks. Tables
-    /// about single samples are copied without most of their rows.
+    /// Copies `chosen` runs of this registry to the registry `to`: records, specs and tables, and their networks if
+    /// `networks` is true. Tables about single samples are copied without most of their rows.
     ///
     /// All epochs and metrics are copied. Of each cell's lowest seed, the predictions of the last two joints and links
     /// and all images are copied. The forces are copied of one run for each dataset. Of runs with a `variant`, only
@@ -36,6 +36,7 @@ impl Registry {
         &self,
         chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
         to: &Registry,
+        networks: bool,
         progress: &dyn Progress,
     ) -> Result<Published, RegistryError> {
         if self.contains(&to.root) {
@@ -58,10 +59,17 @@ impl Registry {
         for (folder, record) in chosen {
             let copy = to.folder_of(record);
             // All files are read before the first one is written, because one of them may be damaged.
-            let spec = record.read_file(folder, SPEC)?;
+            let is_whole = |name: &&String| *name == SPEC || networks && is_network(name);
+            let whole = record.files.keys().filter(is_whole);
+            let whole: Vec<_> = whole
+                .map(|name| Ok((name, record.read_file(folder, name)?)))
+                .collect::<Result<_, RegistryError>>()?;
             let tables = shown.tables(folder, record)?;
-            write_bytes(&copy.path.join(SPEC), &spec)?;
-            let mut names = vec![SPEC.to_owned()];
+            let mut names = Vec::new();
+            for (name, bytes) in whole {
+                write_bytes(&copy.path.join(name), &bytes)?;
+                names.push(name.clone());
+            }
             for (table, rows) in tables {
                 let path = copy.path.join(table.file_name());
                 if rows.height() == 0 {

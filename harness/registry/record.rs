@@ -106,12 +106,16 @@ pub struct FileRecord {
     pub rows: Option<usize>,
     /// SHA-256 of the whole file, in hexadecimal.
     pub sha256: String,
+    /// What the file is replaced with while a user's metric is added to the run. As long as it is listed, the file may
+    /// be the one or the other, so that the run is intact whenever the process is killed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next: Option<Box<FileRecord>>,
 }
 
 impl FileRecord {
     /// The entry of a file with these bytes, of which a table has `rows`.
     pub(super) fn of(bytes: &[u8], rows: Option<usize>) -> Self {
-        Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)) }
+        Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)), next: None }
     }
 
     /// Reads the file at `path`.
@@ -131,11 +135,20 @@ impl FileRecord {
         }
     }
 
+    /// The entry of the file at `path` as it is now: this one, or the next one.
+    pub fn settled(&self, path: &Path) -> Self {
+        let next = self.next.as_deref().filter(|next| next.read(path).is_ok());
+        Self { next: None, ..next.unwrap_or(self).clone() }
+    }
+
     /// Compares the bytes of the file with this entry.
     ///
     /// # Errors
     /// When their number or their checksum is not this one. Returns the reason.
     pub(super) fn check(&self, bytes: &[u8]) -> Result<(), String> {
+        if self.next.as_ref().is_some_and(|next| next.check(bytes).is_ok()) {
+            return Ok(());
+        }
         if bytes.len() as u64 != self.bytes {
             return Err(format!("it has {} bytes instead of {}", bytes.len(), self.bytes));
         }
@@ -156,6 +169,9 @@ pub struct Submission {
     /// What the user says about the model, such as its commit, the versions of packages, or seconds of training.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub notes: BTreeMap<String, String>,
+    /// Name of the file in the run's folder that holds the model itself; `None` if the user attached none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<String>,
 }
 
 /// The record of a run: its spec, status, provenance and files. A row of the `runs` table is made from it.
@@ -192,6 +208,10 @@ pub struct RunRecord {
     /// The predictions of an external model, and what its user says about it; `None` for a network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub submission: Option<Submission>,
+    /// Position of the run's variant among those of the experiment that it was made for. It is 0 in records of earlier
+    /// versions.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub place: usize,
     /// The run's resolved spec.
     pub spec: RunSpec,
     /// The modalities of the dataset's samples. A record without a layout has that of the finger.
@@ -200,6 +220,10 @@ pub struct RunRecord {
     /// The files of a finished run, by name; empty before.
     #[serde(default)]
     pub files: BTreeMap<String, FileRecord>,
+}
+
+fn is_first(place: &usize) -> bool {
+    *place == 0
 }
 
 fn is_finger(layout: &Arc<Layout>) -> bool {
@@ -232,7 +256,17 @@ pub(super) enum WorldOf {
     Dataset(String),
 }
 
+/// Whether a file of a finished run with this name belongs to a network, or is an attached model.
+pub(super) fn is_network(name: &str) -> bool {
+    name != SPEC && !name.ends_with(".parquet")
+}
+
 impl RunRecord {
+    /// Whether the files of a finished run contain those of its networks, or of an attached model.
+    pub fn has_network(&self) -> bool {
+        self.files.keys().any(|name| is_network(name))
+    }
+
     /// The run's world.
     pub(super) fn world(&self) -> WorldOf {
         let name = self.spec.scenario.name();
@@ -260,6 +294,7 @@ impl RunRecord {
             parameters: None,
             provenance: Provenance { command: command_of(&by.command, spec), ..by.clone() },
             submission: None,
+            place: 0,
             spec: spec.clone(),
             layout: layout.clone(),
             files: BTreeMap::new(),
@@ -303,7 +338,8 @@ impl RunRecord {
         let tables = TABLES.iter().map(|table| table.file_name());
         let trained = self.spec.tasks.iter().filter(|_| self.spec.trained().is_some());
         let checkpoints = trained.map(|task| format!("{}.safetensors", task.name()));
-        std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).collect()
+        let attached = self.submission.iter().filter_map(|submission| submission.network.clone());
+        std::iter::once(SPEC.to_owned()).chain(tables).chain(checkpoints).chain(attached).collect()
     }
 
     /// Whether an unfinished run may have a file of this name: a result, or the saved state of its training.
@@ -327,6 +363,16 @@ impl RunRecord {
     /// Reads a file and compares it with its entry in the record.
     pub(super) fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         self.listed(folder, name)?.read(&folder.join(name))
+    }
+
+    /// Compares the file of the model of another program with its entry in the record, and returns its path; `None` if
+    /// none was attached.
+    ///
+    /// # Errors
+    /// When the file is damaged or missing. Published copies lack it.
+    pub fn attached(&self, folder: &Path) -> Result<Option<PathBuf>, RegistryError> {
+        let name = self.submission.as_ref().and_then(|submission| submission.network.as_ref());
+        name.map(|name| self.check_file(folder, name)).transpose()
     }
 
     /// Whether the finished run has a file of this table. Published runs have none of tables without rows.

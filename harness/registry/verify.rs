@@ -333,7 +333,7 @@ fn reason(error: RegistryError) -> String {
 /// Compares a file with its entry in the run's record.
 fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), String> {
     let path = record.check_file(folder, name).map_err(reason)?;
-    if let Some(rows) = record.files[name].rows {
+    if let Some(rows) = record.files[name].settled(&path).rows {
         let footer = read_footer(&path).map_err(|error| error.to_string())?;
         if footer.rows != rows {
             return Err(format!("it has {} rows instead of {rows}", footer.rows));

@@ -16,12 +16,13 @@ what to test them. Results are tables in a folder, `results` by default.
 
 Experiments and results:
 
-- `run` does an experiment. `collect` only simulates its datasets.
+- `run` does an experiment. `collect` only simulates its datasets, with the motion of the world or with a policy.
 - `query` answers SQL queries over the tables, and `compare` computes means over seeds.
 - `plot` draws a metric over a setting. `report` writes all results, or those of some experiments, to one HTML page.
 - `claims` judges the paper's statements, and `figures` draws the paper's figures.
 - `verify` checks all files of a results folder.
 - `export_mlflow` and `export_tensorboard` write runs to MLflow and TensorBoard.
+- `add_metric` adds a metric of your own to finished runs.
 
 Data and networks:
 
@@ -69,6 +70,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .networks import Network
+    from ._own_metrics import Metric
+    from .policies import Policy
     from .prediction import PredictionTask
     from .torch import Transitions
 
@@ -79,6 +82,7 @@ __all__ = [
     "Problem",
     "SimulationBatch",
     "Summary",
+    "add_metric",
     "claims",
     "collect",
     "compare",
@@ -199,6 +203,9 @@ def collect(
     path: str | os.PathLike[str],
     overrides: Mapping[str, Any] | None = None,
     *,
+    policy: "Policy | None" = None,
+    version: str | None = None,
+    workers: int | None = None,
     quick: bool = False,
     results: str | os.PathLike[str] = "results",
     progress: bool = True,
@@ -207,9 +214,23 @@ def collect(
 
     Ctrl-C stops it. The same call continues from there.
 
+    With a policy, a Python function gives the setpoints instead of the world's motion. It gets what has been recorded
+    of the episode so far, a `harness.policies.Observations`, and returns the setpoint of the next sample. Setpoints
+    outside their ranges are clipped. The spec's `simulation.policy` then names the policy and its version. An
+    experiment with this setting is trained on the dataset.
+
+    A dataset does not depend on the number of workers if the policy depends only on its observations, which include a
+    random generator. Several workers are processes. They need a policy that can be pickled, such as a function at the
+    top level of a module. In a script, call this function below `if __name__ == "__main__":`.
+
     Args:
         path: the experiment: the path of a YAML file, or the name of a built-in experiment, such as `smoke`.
         overrides: settings to change, by dotted key, as in `run`.
+        policy: the policy.
+        version: a text that changes whenever the policy does. The default is a hash of the file that defines the
+            function. Objects and closures need a version, and so does a policy that depends on other files, such as
+            the weights of a network.
+        workers: number of episodes that are simulated at the same time. The default is the number of cores.
         quick: applies the settings in the spec's section `quick`.
         results: the folder of datasets and runs.
         progress: shows progress bars on stderr.
@@ -219,16 +240,38 @@ def collect(
 
     Raises:
         FileNotFoundError: there is no such file or experiment.
-        ValueError: the spec is wrong, an override, or a world file. The message says where.
+        ValueError: the spec is wrong, an override, or a world file. The message says where. Or the policy needs a
+            version, can't be sent to workers, or is not the one that the spec names.
         OSError: the results folder can't be written.
-        RuntimeError: an episode can't be simulated or written.
+        RuntimeError: an episode can't be simulated or written. Or the policy raised an exception, or did not return
+            finite numbers. Then the episodes that this call simulated are removed.
         KeyboardInterrupt: the call was interrupted.
 
     Example:
         >>> harness.collect("smoke", {"scenarios": "empty"}, progress=False)
         {PosixPath('results/datasets/empty-...'): 0}
+
+        A policy that moves each element of the setpoint to a random place:
+
+        >>> def anywhere(observations):
+        ...     return observations.random.uniform(*observations.ranges.T)
+        >>> made = harness.collect(
+        ...     "smoke", {"scenarios": "empty"}, policy=anywhere, version="1", workers=1, progress=False
+        ... )
+        >>> len(made)                       # `run` trains on it with {"simulation.policy": "anywhere@1"}
+        1
     """
-    return dict(_harness.collect(Path(path), _changes(overrides), quick, Path(results), progress))
+    if workers is not None and integer("workers", workers) < 1:
+        raise ValueError(f"workers: {workers} must be at least 1")
+    settings = _changes(overrides)
+    if policy is None:
+        if version is not None:
+            raise ValueError("version: there is no policy that it could be the version of")
+        return dict(_harness.collect(Path(path), settings, quick, Path(results), progress, workers))
+    from . import policies
+
+    task = policies.PolicyTask(Path(path), settings, quick, Path(results), policies.identity(policy, version))
+    return policies.collect(task, policy, workers, progress)
 
 
 def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.DataFrame":
@@ -304,6 +347,54 @@ def compare(
 
     chosen = _names("experiments", experiments)
     return polars.DataFrame(_harness.compare(chosen, _settings(where), Path(results)))
+
+
+def add_metric(
+    metric: "Metric",
+    runs: str,
+    *,
+    name: str,
+    unit: str = "1",
+    modality: str | None = None,
+    results: str | os.PathLike[str] = "results",
+) -> int:
+    """Computes a metric of your own from the stored predictions of finished runs, and adds it to their tables.
+
+    `query`, `compare`, `plot`, `report` and `claims` then have it like every other metric. Predictions of images and of
+    baselines are not stored, so these have no value. The metric is computed over all elements of a modality, for each
+    horizon. Added again, a metric of the same name replaces the earlier one. A run that is done again loses it.
+
+    Args:
+        metric: a function of the reference and the prediction, each `[samples, elements]`, float64, in SI units. It
+            returns a number, or None if the metric is not defined.
+        runs: name of an experiment, or the beginning of the names of runs, as EXPERIMENT/RUN.
+        name: name of the metric in tables: lowercase letters, digits and `_`.
+        unit: unit of the values; `1` for a number without a unit.
+        modality: the predicted modality. The default is all modalities whose predictions are stored.
+        results: the folder of datasets and runs.
+
+    Returns:
+        The number of runs.
+
+    Raises:
+        FileNotFoundError: there is no results folder.
+        KeyError: no finished run matches.
+        TypeError: the metric is not a function, or returns something else than a number.
+        ValueError: the name or the unit is wrong, a value is infinite, or a run has no stored predictions.
+        RuntimeError: another process works on a run, it is a published copy, or a table is damaged.
+
+    Example:
+        >>> def within_1_newton(reference, predicted):
+        ...     return 100 * (abs(reference - predicted) < 1).mean()
+        >>> harness.add_metric(within_1_newton, "smoke", name="within_1n", unit="%", modality="contact_force")
+        2
+        >>> harness.query("select scenario, value from metrics where metric = 'within_1n' order by scenario")
+        shape: (2, 2)
+        ...
+    """
+    from ._own_metrics import add
+
+    return add(metric, runs, name, unit, modality, Path(results))
 
 
 def claims(
@@ -411,7 +502,8 @@ def plot(
     """Draws a metric of networks and baselines over a key, as `harness plot` does.
 
     Points are the means of `compare`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
-    settings, task and modality. A baseline has no latent state, so it has the same value at every latent size.
+    settings, task, modality, and any setting of a spec, such as `input`. A baseline has no latent state, so it has the
+    same value at every latent size.
 
     Args:
         experiments: names of experiments; all of them by default.
@@ -509,8 +601,23 @@ def verify(results: str | os.PathLike[str] = "results") -> list[Problem]:
     return [Problem(*problem) for problem in _harness.verify(Path(results))[3]]
 
 
+#: Results that are part of the package: the recommended networks of the built-in worlds, with their scores.
+_TRAINED = Path(__file__).parent / "trained"
+
+
+def _folder_of(run: str, results: str | os.PathLike[str]) -> Path:
+    """The results folder that contains a run's network; that of the package if only it has one."""
+    folder = Path(results)
+    # The package has two runs, and a results folder may have thousands.
+    is_packaged = _harness.may_have_network(run, _TRAINED) and not _harness.may_have_network(run, folder)
+    return _TRAINED if is_packaged else folder
+
+
 def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
     """Loads the trained network of a finished run.
+
+    The recommended networks of the worlds `empty` and `cluttered` are part of the package. They are used if the results
+    folder has no such network: `multi_to_multi_best/empty` and `multi_to_multi_best/cluttered`.
 
     Args:
         run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
@@ -521,44 +628,57 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
 
     Raises:
         KeyError: no run matches, or several do.
-        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
+        FileNotFoundError: there is no results folder, or the run's network is missing, as in results
+            that were published without `--networks`.
         RuntimeError: the run is not done, or the network is damaged.
 
     Example:
         >>> harness.load_model("smoke/empty-z4")
         <harness.Model smoke/empty-z4-...: proprioception, vision to proprioception, contact_force, ..., latent 4>
+        >>> harness.load_model("multi_to_multi_best/cluttered").latent
+        64
     """
-    return Model(run, Path(results))
+    return Model(run, _folder_of(run, results))
 
 
-def load_network(run: str, results: str | os.PathLike[str] = "results") -> "Network":
+def load_network(run: str, results: str | os.PathLike[str] = "results") -> "Network | Any":
     """Loads the trained network of a finished run as a `torch.nn.Module`.
 
     It computes the same as the network of `load_model`. Its parameters can be trained.
+
+    Like `load_model`, it finds the networks that are part of the package. For a model of another program, it loads the
+    file that was attached to its predictions: TorchScript and programs of
+    `torch.export` as a `torch.nn.Module` on the CPU, and ONNX as an `onnxruntime.InferenceSession`.
 
     Args:
         run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
         results: the folder of datasets and runs.
 
     Returns:
-        The network; see `harness.networks.Network`.
+        The network; see `harness.networks.Network`. For a model of another program, what its file contains.
 
     Raises:
-        ImportError: the package torch or safetensors is not installed.
+        ImportError: the package torch or safetensors is not installed, or onnxruntime for an ONNX file.
         KeyError: no run matches, or several do.
-        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
-        RuntimeError: the run is not done, or the network is damaged.
+        FileNotFoundError: there is no results folder, or the run's network is missing, as in results
+            that were published without `--networks`.
+        RuntimeError: the run is not done, its network is damaged, or no file was attached to the predictions.
 
     Example:
         >>> network = harness.load_network("smoke/empty-z4")                       # needs torch
         >>> sum(parameters.numel() for parameters in network.parameters()) > 10_000
         True
     """
+    folder = _folder_of(run, results)
+    if attached := _harness.attached(run, folder):
+        from ._attachments import load
+
+        return load(attached)
     try:
         from .networks import Network, NetworkFile
     except ImportError as error:
         raise ImportError(f"load_network needs PyTorch: pip install torch safetensors ({error})") from error
-    files = {task: NetworkFile(path, json.loads(text)) for task, path, text in _harness.networks(run, Path(results))}
+    files = {task: NetworkFile(path, json.loads(text)) for task, path, text in _harness.networks(run, folder)}
     return Network(files["prediction"], files.get("reconstruction"))
 
 
@@ -570,7 +690,8 @@ def export_onnx(
 ) -> None:
     """Writes the trained network of a finished run to an ONNX file, as `harness export --format onnx` does.
 
-    Normalization is part of the model, so it takes and returns SI units. The batch can have any size.
+    Normalization is part of the model, so it takes and returns SI units. The batch can have any size. Like
+    `load_model`, it finds the networks that are part of the package.
 
     Args:
         run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
@@ -581,14 +702,15 @@ def export_onnx(
     Raises:
         ValueError: there is no such task.
         KeyError: no run matches, or several do.
-        FileNotFoundError: there is no results folder, or the run's network is missing. Published results have none.
+        FileNotFoundError: there is no results folder, or the run's network is missing, as in results
+            that were published without `--networks`.
         RuntimeError: the run is not done, did not train the task, or the network is damaged.
         OSError: the file can't be written.
 
     Example:
         >>> harness.export_onnx("smoke/empty-z4", "network.onnx")
     """
-    _harness.export_onnx(run, Path(output), task, Path(results))
+    _harness.export_onnx(run, Path(output), task, _folder_of(run, results))
 
 
 def export_mlflow(

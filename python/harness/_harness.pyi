@@ -10,15 +10,20 @@ from typing_extensions import disjoint_base
 __all__ = [
     "Dataset",
     "Model",
+    "PolicyDataset",
+    "Recorder",
     "SimulationBatch",
     "Table",
     "Task",
+    "add_metric",
+    "attached",
     "claims",
     "collect",
     "compare",
     "export_onnx",
     "figures",
     "main",
+    "may_have_network",
     "networks",
     "plot",
     "query",
@@ -89,12 +94,27 @@ def verify(results: Path) -> tuple[int, int, int, list[tuple[Path, str, str | No
     """Numbers of runs, datasets and files, and the problems; see `harness.verify`."""
 
 def collect(
-    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool
+    path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, workers: int | None
 ) -> list[tuple[Path, int]]:
     """Each dataset's folder with the number of episodes that were simulated; see `harness.collect`."""
 
 def networks(run: str, results: Path) -> list[tuple[str, Path, str]]:
     """Task, path and description, as JSON, of each network of a run; see `harness.load_network`."""
+
+def may_have_network(run: str, results: Path) -> bool:
+    """Whether a run of a results folder whose id, or `EXPERIMENT/ID`, begins with `run` may have a network."""
+
+def attached(run: str, results: Path) -> Path | None:
+    """Path of the file that was attached to a run of a model of another program; see `harness.load_network`."""
+
+def add_metric(
+    run: str,
+    name: str,
+    unit: str,
+    values: list[tuple[str, int, str | None, float | None]],
+    results: Path,
+) -> None:
+    """Writes the values of a user's metric to the tables of a run; see `harness.add_metric`."""
 
 def export_onnx(run: str, output: Path, task: str, results: Path) -> None:
     """See `harness.export_onnx`."""
@@ -104,6 +124,81 @@ class Table:
     """A table that readers of Arrow's C stream interface can read."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> Any: ...
+
+@final
+class PolicyDataset:
+    """A dataset whose setpoints a Python function gives; see `harness.collect`."""
+
+    @staticmethod
+    def of(
+        path: Path, overrides: list[str], quick: bool, results: Path, policy: str, progress: bool
+    ) -> list[PolicyDataset]:
+        """Returns the datasets of an experiment with the policy `NAME@VERSION`. These are those in which
+        `simulation.policy` names this policy, or all datasets if it names none. Writes nothing."""
+
+    @property
+    def name(self) -> str:
+        """Name of the folder: the scenario, and a hash of everything that determines the dataset."""
+
+    @property
+    def folder(self) -> Path:
+        """Path of the folder."""
+
+    def claim(self) -> list[int]:
+        """Locks the folder, for which it may wait, and returns the indices of the missing episodes."""
+
+    def advance(self, samples: int) -> None:
+        """Shows on the terminal that this number of samples has been simulated."""
+
+    def release(self, discarded: list[int]) -> None:
+        """Removes those of these episodes that have a file, and the folder if it has no others. Unlocks the folder."""
+
+    def recorder(self) -> Recorder:
+        """Returns a recorder of the dataset's episodes."""
+
+@final
+class Recorder:
+    """Records the episodes of a dataset, one after the other, with the setpoints that its caller gives."""
+
+    def start(self, episode: int) -> None:
+        """Starts an episode, and records its first sample, which is at rest."""
+
+    def step(self, setpoint: ArrayLike) -> None:
+        """Records the next sample. Meanwhile the setpoint moves to the given one, `[elements]`, at constant speed."""
+
+    def values(self, modality: str, first: int) -> NDArray[Any]:
+        """Returns the recorded values of a modality from the sample `first` on, `[samples, ...]`."""
+
+    def save(self) -> None:
+        """Writes the episode, all of whose samples must be recorded."""
+
+    @property
+    def scenario(self) -> str:
+        """Name of the world."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the dataset."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in an episode."""
+
+    @property
+    def sample_seconds(self) -> float:
+        """Time from one sample to the next, s."""
+
+    @property
+    def modalities(self) -> dict[str, tuple[int, ...]]:
+        """The recorded modalities: the shape of a sample's values, by name."""
+
+    @property
+    def action(self) -> list[str]:
+        """Names of the elements of a setpoint."""
+
+    @property
+    def setpoint_ranges(self) -> NDArray[np.float64]:
+        """Lowest and highest value of each element of a setpoint, `[elements, 2]`, in rad or m."""
 
 @disjoint_base
 class Task:
@@ -140,6 +235,7 @@ class Task:
         model: str,
         seed: int,
         notes: dict[str, str],
+        network: Path | None,
         command: list[str],
         progress: bool,
     ) -> tuple[str, bool]:

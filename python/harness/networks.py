@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,11 +18,11 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["Network", "NetworkFile"]
+__all__ = ["Network", "NetworkFile", "State"]
 
 Layer = dict[str, Any]
-FORMAT = 1
-"""The version of descriptions that this module can read."""
+FORMATS = (1, 2)
+"""The versions of descriptions that this module can read: without and with memory."""
 RECONSTRUCTION = "reconstruction."
 """First part of the names of the parameters of the reconstruction's decoder."""
 
@@ -53,9 +53,24 @@ class NetworkFile:
         found = note.get("network", description)
         if found is None:
             raise ValueError(f"{path} has no description of a network; load it by the name of its run")
-        if found["format"] != FORMAT:
-            raise ValueError(f"{path} has format {found['format']} of the description; this version reads {FORMAT}")
+        if found["format"] not in FORMATS:
+            known = " and ".join(map(str, FORMATS))
+            raise ValueError(f"{path} has format {found['format']} of the description; this version reads {known}")
         self.description: dict[str, Any] = found
+
+
+class State(NamedTuple):
+    """What a network with memory knows of a batch of episodes at one sample. `Network.start` makes the first one.
+
+    Attributes:
+        latent: the latent state, `[batch, latent]`.
+        action: the normalized action after the last sample, `[batch, elements]`; None for a sample that was seen.
+        memory: what the network has stored of earlier samples, `[batch, width]`.
+    """
+
+    latent: Tensor
+    action: Tensor | None
+    memory: Tensor
 
 
 class Network(torch.nn.Module):
@@ -69,6 +84,10 @@ class Network(torch.nn.Module):
 
     The parameters can be trained. They have the same names as in the network's file, and those of the decoder that
     reconstructs begin with `reconstruction.`.
+
+    A network with memory sees the samples of an episode one after the other. `start` gives the state before the first
+    one, `observe` the state of a sample, `act` the state that predicts the sample after an action, and `predict` that
+    sample. `act` after `act` predicts further, without seeing the samples between.
 
     Args:
         prediction: the file of the network that predicts.
@@ -112,6 +131,8 @@ class Network(torch.nn.Module):
     def forward(self, observation: Mapping[str, Any], action: Any) -> dict[str, Tensor]:
         """Predicts the observation one sample later, from the mean of the posterior.
 
+        For a network with memory, the observation is the first one of an episode.
+
         Args:
             observation: the values of the input modalities, by name.
             action: `[batch, elements]`, in SI units. `description["action"]["form"]` says whether it is the change of
@@ -125,7 +146,62 @@ class Network(torch.nn.Module):
             ValueError: a tensor has the wrong shape.
             TypeError: an image consists of integers other than uint8.
         """
+        if self.has_memory:
+            return self.predict(self.act(self.observe(None, observation), action))
         return self.decode(self.encode(observation)[0], action)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the network keeps a state from sample to sample."""
+        return bool(self.description.get("memory"))
+
+    def start(self, batch: int = 1) -> State:
+        """Returns the state before the first samples of a batch of episodes.
+
+        Raises:
+            RuntimeError: the network has no memory.
+        """
+        zeros = self.get_parameter("decoder.hidden.bias").new_zeros
+        return State(zeros(batch, self.description["latent"]), None, zeros(batch, self._memory_width()))
+
+    def observe(self, state: State | None, observation: Mapping[str, Any]) -> State:
+        """Returns the state of a sample that is seen.
+
+        Args:
+            state: the one that predicts this sample, which `act` returns; None for the first sample of an episode.
+            observation: the values of the input modalities, by name.
+
+        Raises:
+            RuntimeError: the network has no memory.
+            KeyError, ValueError, TypeError: the observation is wrong, as in `encode`.
+        """
+        values = self._run(self.description["encoder"], self._normalized(observation), "")
+        encoded = values["posterior"]
+        return self._remember(self.start(len(encoded)) if state is None else state, encoded)
+
+    def act(self, state: State, action: Any) -> State:
+        """Returns the state that predicts the sample after an action.
+
+        Args:
+            state: that of the present sample. If it is one that `act` returned, its sample was not seen.
+            action: `[batch, elements]`, as in `forward`.
+
+        Raises:
+            ValueError: a tensor has the wrong shape.
+        """
+        if state.action is not None:
+            state = self._remember(state, None)
+        return state._replace(action=self._normalized_action(action, len(state.latent)))
+
+    def predict(self, state: State) -> dict[str, Tensor]:
+        """Returns the sample that a state of `act` predicts: the values of the output modalities, in SI units.
+
+        Raises:
+            ValueError: there is no action after the state's sample.
+        """
+        if state.action is None:
+            raise ValueError("the state has no action; call act first")
+        return self._decoded(self.description, {"latent": state.latent, "action": state.action}, "")
 
     def encode(self, observation: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
         """Returns the posterior of the latent state for an observation.
@@ -160,11 +236,7 @@ class Network(torch.nn.Module):
             ValueError: a tensor has the wrong shape.
         """
         given = {"latent": self._tensor(latent)}
-        form = self.description["action"]
-        values = self._tensor(action)
-        self._check("action", values, [len(form["elements"])], len(given["latent"]))
-        mean, deviation = self._scales(form, values.shape[1:])
-        given["action"] = (values - mean) / deviation
+        given["action"] = self._normalized_action(action, len(given["latent"]))
         return self._decoded(self.description, given, "")
 
     def reconstruct(self, latent: Any) -> dict[str, Tensor]:
@@ -184,6 +256,55 @@ class Network(torch.nn.Module):
             raise RuntimeError("the run trained no reconstruction")
         given = {"latent": self._tensor(latent)}
         return self._decoded(self.reconstruction_description, given, RECONSTRUCTION)
+
+    def _normalized_action(self, action: Any, batch: int) -> Tensor:
+        form = self.description["action"]
+        values = self._tensor(action)
+        self._check("action", values, [len(form["elements"])], batch)
+        mean, deviation = self._scales(form, values.shape[1:])
+        return (values - mean) / deviation
+
+    def _memory_width(self) -> int:
+        if not self.has_memory:
+            raise RuntimeError("the network has no memory; call it with an observation and an action")
+        layer = self.description["memory"][0]
+        (width,) = layer["output"]
+        # The oldest of the last samples is left out.
+        return width // layer["samples"] * (layer["samples"] - 1) if layer["kind"] == "last_samples" else width
+
+    def _remember(self, state: State, encoded: Tensor | None) -> State:
+        """Returns the state of the next sample: encoded, or not seen."""
+        batch, zeros = len(state.latent), state.latent.new_zeros
+        elements = len(self.description["action"]["elements"])
+        values = {
+            "encoded": zeros(batch, 2 * self.description["latent"]) if encoded is None else encoded,
+            "seen": zeros(batch, 1) + (encoded is not None),
+            "action": zeros(batch, elements) if state.action is None else state.action,
+            "latent": state.latent,
+        }
+        first, *layers = self.description["memory"]
+        inputs = torch.cat([values[name] for name in first["inputs"]], 1)
+        if first["kind"] == "last_samples":
+            joined = torch.cat([inputs, state.memory], 1)
+            values["memory"], memory = joined, joined[:, : state.memory.shape[1]]
+        else:
+            values["memory"] = memory = self._gated(first, inputs, state.memory)
+        values = self._run(layers, values, "")
+        # A recurrent state-space model expects a sample that is not seen.
+        belief = values["prior"] if encoded is None and "prior" in values else values["posterior"]
+        return State(belief.chunk(2, dim=1)[0], None, memory)
+
+    def _gated(self, layer: Layer, inputs: Tensor, state: Tensor) -> Tensor:
+        """Returns the next state of a gated recurrent unit."""
+
+        def product(x: Tensor, name: str) -> tuple[Tensor, ...]:
+            weight, bias = (self.get_parameter(layer[f"{name}_{part}"]) for part in ("weight", "bias"))
+            return functional.linear(x, weight, bias).chunk(3, dim=1)
+
+        given, hidden = product(inputs, "input"), product(state, "hidden")
+        reset, update = (torch.sigmoid(a + b) for a, b in list(zip(given, hidden, strict=True))[:2])
+        candidate = torch.tanh(given[2] + reset * hidden[2])
+        return candidate + update * (state - candidate)
 
     def _add_parameter(self, name: str, tensor: Tensor) -> None:
         """Adds a parameter under its dotted name."""
@@ -274,6 +395,14 @@ class Network(torch.nn.Module):
         match layer["kind"]:
             case "concatenate":
                 return torch.cat(inputs, 1)
+            case "columns":
+                return torch.cat([x.narrow(1, start, length) for start, length in layer["ranges"]], 1)
+            case "objects":
+                objects, width = layer["output"]
+                return x.narrow(1, layer["start"], objects * width).reshape(-1, width)
+            case "sum_and_maximum":
+                objects = x.unflatten(0, (-1, layer["objects"]))
+                return torch.cat([objects.sum(1), objects.amax(1)], 1)
             case "average":
                 return functional.avg_pool2d(x, layer["size"])
             case "flatten":

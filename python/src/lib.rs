@@ -8,6 +8,7 @@ mod array;
 mod dataset;
 mod errors;
 mod model;
+mod policy;
 mod results;
 mod run;
 mod simulation;
@@ -31,9 +32,11 @@ mod _harness {
     #[pymodule_export]
     use super::dataset::Dataset;
     #[pymodule_export]
-    use super::model::{Model, export_onnx, networks};
+    use super::model::{Model, attached, export_onnx, may_have_network, networks};
     #[pymodule_export]
-    use super::results::{claims, collect, figures, plot, report, verify};
+    use super::policy::{PolicyDataset, Recorder};
+    #[pymodule_export]
+    use super::results::{add_metric, claims, collect, figures, plot, report, verify};
     #[pymodule_export]
     use super::run::{Table, compare, query, run};
     #[pymodule_export]

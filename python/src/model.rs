@@ -195,6 +195,23 @@ pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'stat
     Ok(found.into_iter().map(|file| (file.task.name(), file.path, file.description.json())).collect())
 }
 
+/// Whether a run of a results folder whose id, or `EXPERIMENT/ID`, begins with `run` may have a network. Published copies
+/// have one only if it was published with them, and a folder that is missing has no runs.
+#[pyfunction]
+pub fn may_have_network(py: Python, run: &str, results: PathBuf) -> PyResult<bool> {
+    let registry = Registry::new(results);
+    detached(py, || experiment::may_have_network(&registry, run))
+}
+
+/// Returns the path of the file that was attached to a run of a model of another program; `None` for the run of a
+/// network. See `harness.load_network`.
+#[pyfunction]
+pub fn attached(py: Python, run: &str, results: PathBuf) -> PyResult<Option<PathBuf>> {
+    let registry = Registry::new(results);
+    registry.check_there().map_err(Raise::raise)?;
+    detached(py, || experiment::attached(&registry, run))?.map_err(Raise::raise)
+}
+
 /// Writes an ONNX model of a run; see `harness.export_onnx`.
 #[pyfunction]
 pub fn export_onnx(py: Python, run: &str, output: PathBuf, task: &str, results: PathBuf) -> PyResult<()> {

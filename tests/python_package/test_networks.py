@@ -6,7 +6,7 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ def networks_of(spec: Path) -> Iterator[Overrides]:
     for role, reading, chosen in itertools.product(roles, readings, itertools.product(*values)):
         changes = {**role, **reading, **dict(chosen)}
         own = {key: value for key, value in changes.items() if key.split(".")[0] in SETTINGS}
-        # Networks with memory can't be exported yet.
+        # Networks with memory have tests of their own, because `load_model` has no state.
         if own.get("network.memory", base["network"].get("memory", "none")) == "none":
             yield {**base, **own}
 
@@ -261,7 +261,7 @@ def test_the_kinds_have_every_value_of_every_network_setting() -> None:
     }
     assert lengths == {"hidden": {False, True}, "channels": {False, True}}
     assert used["average"] == {"1", "2", "4"}
-    known = {"preset", "fusion", "hidden", "channels", "average", "memory"}
+    known = {"preset", "fusion", "hidden", "channels", "average", "memory", "memory_samples"}
     assert set(settings) == known, "a new setting needs new kinds"
 
 
@@ -296,6 +296,103 @@ def test_torch_agrees_with_the_harness(trained: Trained) -> None:
     for found, expected in ((predicted, trained.predicted), (reconstructed, trained.reconstructed)):
         values = {name: values.numpy() for name, values in found.items()}
         trained.assert_equal(values, channels_first(expected), "PyTorch")
+
+
+class Remembered:
+    """A trained network with memory, and what it predicted along its test episode."""
+
+    def __init__(self, memory: str, results: Path) -> None:
+        settings: dict[str, Any] = {"scenarios": ["empty"], "network.memory": memory, "training.epochs": 2}
+        settings |= {"window.context": 6, "window.start": "rest", "window.horizon": 3}
+        assert harness.run(SMOKE, settings, results=results, progress=False) == (1, 0)
+        (folder,) = (results / "datasets").iterdir()
+        self.data = harness.Dataset(folder)
+        rows = harness.query(
+            "select episode, sample, horizon, modality, predicted from all_predictions "
+            "where task = 'prediction' order by episode, sample, horizon, modality, index",
+            results,
+        ).rows()
+        self.expected: dict[tuple[Any, ...], list[float]] = {}
+        for *key, predicted in rows:
+            self.expected.setdefault(tuple(key), []).append(predicted)
+        (self.episode,) = {key[0] for key in self.expected}
+        self.first, self.end = self.data.bounds[self.episode]
+        self.compared: set[tuple[Any, ...]] = set()
+
+    def windows(self) -> Iterator[tuple[int, range]]:
+        """Each present sample, and the horizons that the episode has after it."""
+        for present in range(self.first, self.end - 1):
+            yield present, range(1, min(3, self.end - 1 - present) + 1)
+
+    def action(self, present: int, horizon: int) -> NDArray[np.float32]:
+        """The action before the sample at a horizon, `[1, elements]`."""
+        setpoint = self.data["setpoint"]
+        return (setpoint[present + horizon] - setpoint[present + horizon - 1])[None]
+
+    def compare(self, present: int, horizon: int, predictions: Mapping[str, NDArray[np.float32]]) -> None:
+        """Compares predictions of one sample with those in the tables."""
+        for name, values in predictions.items():
+            key = (self.episode, present - self.first + horizon, horizon, name)
+            if key in self.expected:
+                np.testing.assert_allclose(values[0], self.expected[key], rtol=1e-4, atol=1e-5)
+                self.compared.add(key)
+
+
+@pytest.mark.parametrize("memory", ["window", "gru", "rssm"])
+def test_torch_agrees_with_networks_that_have_a_memory(memory: str, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
+    run = Remembered(memory, tmp_path)
+    network = harness.load_network("smoke/empty", tmp_path)
+    assert network.has_memory
+    names = [quantity["name"] for quantity in network.description["inputs"]]
+    state = None
+    for present, horizons in run.windows():
+        seen = channels_first({name: observed(run.data, name, np.array([present])) for name in names})
+        with torch.no_grad():
+            ahead = network.observe(state, seen)
+        for horizon in horizons:
+            with torch.no_grad():
+                ahead = network.act(ahead, run.action(present, horizon))
+                predictions = network.predict(ahead)
+            state = ahead if horizon == 1 else state
+            run.compare(present, horizon, {name: values.numpy() for name, values in predictions.items()})
+    assert run.compared == run.expected.keys()
+
+
+@pytest.mark.parametrize("memory", ["window", "gru", "rssm"])
+def test_onnx_agrees_with_networks_that_have_a_memory(memory: str, tmp_path: Path) -> None:
+    run = Remembered(memory, tmp_path)
+    sessions = {}
+    for task in ("prediction", "reconstruction"):
+        path = tmp_path / f"{task}.onnx"
+        harness.export_onnx("smoke/empty", path, task, tmp_path)
+        onnx.checker.check_model(onnx.load(path), full_check=True)
+        sessions[task] = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    shapes = {value.name: value.shape for value in sessions["prediction"].get_inputs()}
+    given = shapes.keys() - {"state", "seen", "action"}
+    state = np.zeros((1, shapes["state"][1]), np.float32)
+
+    def answer(task: str, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float32]]:
+        names = [value.name for value in sessions[task].get_outputs()]
+        return dict(zip(names, sessions[task].run(names, values), strict=True))
+
+    for present, horizons in run.windows():
+        values = {name: observed(run.data, name, np.array([present])) for name in given}
+        ahead, is_seen = state, np.ones((1, 1), np.float32)
+        for horizon in horizons:
+            values |= {"state": ahead, "seen": is_seen, "action": run.action(present, horizon)}
+            found = answer("prediction", values)
+            if horizon == 1:
+                reconstructed = answer("reconstruction", values)
+                for name in ("latent.mean", "state.next"):
+                    np.testing.assert_array_equal(reconstructed[name], found[name])
+                assert {f"reconstructed.{name}" for name in given} <= reconstructed.keys()
+                state = found["state.next"]
+            # The values of samples that are not seen are ignored.
+            ahead, is_seen = found["state.next"], np.zeros((1, 1), np.float32)
+            predictions = {name.split(".")[1]: part for name, part in found.items() if name.startswith("predicted.")}
+            run.compare(present, horizon, predictions)
+    assert run.compared == run.expected.keys()
 
 
 def test_a_network_takes_the_batches_of_a_dataset(smoke: Trained) -> None:
@@ -467,10 +564,10 @@ def test_a_torch_network_trains_and_refuses_wrong_observations(smoke: Trained) -
     assert network.to(torch.device("cpu")).state_dict()["scale_vision_mean"].dtype == torch.float32
 
 
-def test_without_torch_one_line_says_what_to_install() -> None:
+def test_without_torch_one_line_says_what_to_install(results: Path) -> None:
     script = (
         "import sys; sys.modules['torch'] = None; import harness\n"
-        "try: harness.load_network('run')\n"
+        f"try: harness.load_network('smoke/empty', {str(results)!r})\n"
         "except ImportError as error: print(error)"
     )
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout

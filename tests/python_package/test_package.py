@@ -148,6 +148,33 @@ def test_a_model_predicts_what_the_run_recorded(results: Path, folders: dict[str
     assert error == pytest.approx(metric.item(), rel=1e-4)
 
 
+@pytest.mark.parametrize("world", ["empty", "cluttered"])
+def test_networks_of_the_package_predict_new_episodes(
+    world: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder without results. The episodes are those of a seed that no experiment uses."""
+    monkeypatch.chdir(tmp_path)
+    model = harness.load_model(f"multi_to_multi_best/{world}")
+    assert (model.input, model.latent, model.scenario) == (["proprioception", "vision"], 64, world)
+    assert not list(tmp_path.iterdir())
+    size = {"simulation.episodes": 4, "simulation.actuations_per_episode": 10, "simulation.seed": 4711}
+    collected = harness.collect(
+        "multi_to_multi_best", {"scenarios": world, **size}, results=tmp_path, progress=False
+    )
+    data = harness.Dataset(next(iter(collected)))
+    now = np.concatenate([np.arange(first, end - 1) for first, end in data.bounds])
+    setpoint = data["setpoint"]
+    predicted = model.predict({name: data[name][now] for name in model.input}, setpoint[now + 1] - setpoint[now])
+
+    def error(modality: str, values: Any) -> float:
+        reference = data[modality].astype(float)
+        return float(np.mean((values - reference[now + 1]) ** 2) / np.var(reference[now + 1]))
+
+    for modality in ("proprioception", "contact_force"):
+        own, persistence = (error(modality, values) for values in (predicted[modality], data[modality][now]))
+        assert own < 0.6 * persistence, (modality, own, persistence)
+
+
 def test_a_model_reconstructs_what_the_run_recorded(results: Path, folders: dict[str, Path]) -> None:
     model, data = harness.load_model("cluttered-z4", results), harness.Dataset(folders["cluttered"])
     episode = data.episode(3)
@@ -497,7 +524,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("format", ValueError, "there is no format 'gif'; allowed: svg, png, csv"),
         ("runs", RuntimeError, "regression was not drawn: "),
         ("plot key", ValueError, "there is no key 'latents'; allowed: experiment, scenario, latent"),
-        ("plot metric", ValueError, "the metrics are smape, wmape, r2"),
+        ("plot metric", ValueError, "no finished run has this metric.*r2 of contact_force"),
         ("plot ending", ValueError, r"must end in \.svg, \.png or \.csv"),
         ("plot series", ValueError, "the means differ in modality"),
         ("plot of nothing", ValueError, "no finished run has this metric.*r2 of contact_force"),
@@ -691,8 +718,10 @@ def test_what_is_returned_has_the_types_of_the_stubs(
             ["smoke"], tmp_path / "report.html", Path("claims"), Path("readings"), False, [], results, False
         ),
         "verify": lambda: _harness.verify(results),
-        "collect": lambda: _harness.collect(SMOKE, [], False, results, False),
+        "collect": lambda: _harness.collect(SMOKE, [], False, results, False, None),
         "networks": lambda: _harness.networks(run, results),
+        "attached": lambda: _harness.attached(run, results),
+        "may_have_network": lambda: _harness.may_have_network(run, results),
         "export_onnx": lambda: _harness.export_onnx(run, tmp_path / "network.onnx", "prediction", results),
         "Dataset.split": lambda: dataset.split("test", validation=0.25, test=0.25),
         "Dataset.__len__": lambda: len(dataset),
@@ -712,15 +741,36 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     shutil.copytree(results, copy)
     task = _harness.Task(SMOKE, None, ["output=[arm]", "tasks=[prediction]"], False, "cluttered", copy, False)
     predictions = [("arm", 1, np.zeros((len(task.windows("test")), 3), np.float32))]
+    policy = ["scenarios=empty"], False, copy, "own@1", False
+    [collected] = _harness.PolicyDataset.of(SMOKE, *policy)
+    recorder = collected.recorder()
+
+    def save() -> None:
+        recorder.start(0)
+        for _ in range(1, recorder.samples):
+            recorder.step(recorder.setpoint_ranges[:, 0])
+        recorder.save()
+
     calls |= {
+        "PolicyDataset.of": lambda: _harness.PolicyDataset.of(SMOKE, *policy),
+        "PolicyDataset.claim": collected.claim,
+        "PolicyDataset.advance": lambda: collected.advance(1),
+        "PolicyDataset.recorder": collected.recorder,
+        "PolicyDataset.release": lambda: collected.release([]),
+        "Recorder.start": lambda: recorder.start(0),
+        "Recorder.step": lambda: recorder.step(recorder.setpoint_ranges[:, 0]),
+        "Recorder.values": lambda: recorder.values("vision", 0),
+        "Recorder.save": save,
         "Task.description": task.description,
         "Task.yaml": task.yaml,
         "Task.bounds": task.bounds,
         "Task.windows": lambda: task.windows("training"),
         "Task.array": lambda: task.array("vision"),
-        "Task.judge": lambda: task.judge(predictions, "zero", 0, {}, ["python"], False),
+        "Task.judge": lambda: task.judge(predictions, "zero", 0, {}, None, ["python"], False),
+        "add_metric": lambda: _harness.add_metric(run, "own", "1", [("arm", 1, None, 0.5)], copy),
     }
     objects = {"Dataset": dataset, "Model": model, "SimulationBatch": simulation}
+    objects |= {"PolicyDataset": collected, "Recorder": recorder}
     stubs = ast.parse((ROOT / "python/harness/_harness.pyi").read_text()).body
     functions = {stub.name: stub for stub in stubs if isinstance(stub, ast.FunctionDef)}
     for stub in stubs:
@@ -732,7 +782,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     left_out |= {"Dataset.__reduce__", "Model.__reduce__", "Task.__new__"}
     for name in sorted(functions.keys() - left_out):
         stub = functions[name]
-        if stub.decorator_list:
+        if [ast.unparse(decorator) for decorator in stub.decorator_list] == ["property"]:
             owner, part = name.split(".")
             value = getattr(objects[owner], part)
         else:

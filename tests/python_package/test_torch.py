@@ -80,6 +80,6 @@ def test_windows_of_a_task_are_a_map_style_dataset(results: Path) -> None:
     assert sum(len(actions) for _, actions, _ in loader) == len(windows)
 
 
-@pytest.mark.parametrize("example", ["torch_cnn", "torch_gru"])
+@pytest.mark.parametrize("example", ["torch_cnn", "torch_gru", "torch_transformer"])
 def test_the_examples_for_pytorch_work(example: str, copy: Path) -> None:
     check_example(example, ["proprioception", "arm", "vision"], copy)

@@ -29,6 +29,8 @@ TAGS = (
     "host",
     "processor",
     "command",
+    "task_hash",
+    "notes",
 )
 """The columns of the table `runs` that become tags."""
 
