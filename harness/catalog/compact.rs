@@ -102,7 +102,8 @@ impl RunTable {
         let name = table.file_name();
         let runs = runs.filter(|record| record.has(table));
         let file = |record: &RunRecord| {
-            let listed = record.listed(&folder.join(&record.run), &name)?.clone();
+            let own = folder.join(&record.run);
+            let listed = record.listed(&own, &name)?.settled(&own.join(&name));
             // Published runs are few, and are meant for version control.
             let is_small = listed.bytes <= LARGEST_BYTES && !record.published;
             Ok(RunFile { run: record.run.clone(), listed, is_small })
@@ -369,8 +370,12 @@ impl RunFile {
     }
 
     fn of(entry: &Entry) -> Self {
-        let listed =
-            FileRecord { bytes: entry.mark.bytes, rows: Some(entry.rows), sha256: entry.sha256.clone() };
+        let listed = FileRecord {
+            bytes: entry.mark.bytes,
+            rows: Some(entry.rows),
+            sha256: entry.sha256.clone(),
+            next: None,
+        };
         Self { run: entry.run.clone(), listed, is_small: true }
     }
 }

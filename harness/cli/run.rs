@@ -7,7 +7,7 @@ use super::table::{print_beside, print_command, print_text, shown, width};
 use super::{DONE, FAILED, interrupt, layers, output, search};
 use anyhow::Result;
 use clap::Args;
-use harness::collection::{check_rendering, collect, collect_share, dataset_of};
+use harness::collection::{check_missing, collect, collect_share, dataset_of};
 use harness::dataset::Dataset;
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
 use harness::numbers::{counted, rounded};
@@ -194,7 +194,7 @@ impl Collect {
             let scene = Scene::new(world)?;
             scene.check(&simulation)?;
             let dataset = dataset_of(&registry.datasets(), &scene, &simulation);
-            check_rendering([&dataset])?;
+            check_missing([&dataset])?;
             let own = first..first + simulation.episodes as usize;
             first = own.end;
             let made = match self.share.shard {
