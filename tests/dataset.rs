@@ -459,10 +459,14 @@ fn frames_stay_in_memory_up_to_a_limit() {
 /// Episodes of these numbers of samples at 10 Hz. In sample s of the dataset the force on each link is s newtons, and
 /// on the last link 3 s newtons.
 fn ramps(seed: u64, lengths: &[usize]) -> Samples {
+    ramps_in(Layout::finger(), seed, lengths)
+}
+
+fn ramps_in(layout: Arc<Layout>, seed: u64, lengths: &[usize]) -> Samples {
     let recording = Recording { sample_rate_hz: 10.0, seed };
     let mut all = Samples::new(
         recording,
-        Layout::finger(),
+        layout.clone(),
         lengths.iter().sum(),
         FramePlace::Memory,
         Path::new("nowhere"),
@@ -476,8 +480,8 @@ fn ramps(seed: u64, lengths: &[usize]) -> Samples {
         };
         let forces: Vec<f32> = (0..samples * JOINTS).map(force).collect();
         let vision = (0..samples * FRAME_LEN).map(|at| (first + at / FRAME_LEN + at) as u8);
-        let mut episode = Episode::new(Layout::finger(), index, samples);
-        for (place, definition) in Layout::finger().modalities.iter().enumerate() {
+        let mut episode = Episode::new(layout.clone(), index, samples);
+        for (place, definition) in layout.modalities.iter().enumerate() {
             if definition.width() == JOINTS {
                 episode.vectors[place] = forces.clone();
             } else if definition.width() == ARM_JOINTS {
@@ -605,6 +609,32 @@ fn sequences_cover_their_episodes_without_overlap() {
         // All sequences, with those that overlap, end where the windows with this context do.
         assert_eq!(ends(&all, length), windows);
     }
+}
+
+#[test]
+fn the_objects_of_a_set_share_the_mean_and_deviation_of_each_value() {
+    let mut layout = Layout::clone(&Layout::finger());
+    for force in [Modality::CONTACT_FORCE, Modality::CONTACT_FORCE_MEAN] {
+        let place = layout.position(force).unwrap();
+        layout.modalities[place].objects = Some(10);
+    }
+    let samples = ramps_in(Arc::new(layout), 0, &[12]);
+    let scaling = |scale| Scaling { scale, minimum: None };
+    let scalings = Scalings::from([
+        (Modality::CONTACT_FORCE, scaling(Scale::Shared)),
+        (Modality::CONTACT_FORCE_MEAN, scaling(Scale::PerElement)),
+    ]);
+    let normalizers = Normalizers::fit(&samples, &at(0..11), &scalings, Action::Increment);
+    // The first value of each object goes from 0 to 10: mean 5, variance 10. So does the second value of nine objects,
+    // and that of the tenth is three times as large: mean (9 * 5 + 15) / 10 = 6, variance 63 - 36 = 27.
+    let own = &normalizers.modalities[&Modality::CONTACT_FORCE_MEAN];
+    let shared = &normalizers.modalities[&Modality::CONTACT_FORCE];
+    for object in 0..10 {
+        assert_eq!(own.mean[2 * object..][..2], [5.0, 6.0]);
+        assert_eq!(own.std[2 * object..][..2], [10.0_f32.sqrt(), 27.0_f32.sqrt()]);
+    }
+    assert_eq!((own.mean.len(), own.std.len()), (JOINTS, JOINTS));
+    assert_eq!((&shared.mean, shared.std.as_slice()), (&own.mean, [18.5_f32.sqrt()].as_slice()));
 }
 
 #[test]

@@ -42,6 +42,8 @@ mod additions;
 mod finger;
 #[path = "learning/memory.rs"]
 mod memory;
+#[path = "learning/sets.rs"]
+mod sets;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");

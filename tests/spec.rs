@@ -1101,6 +1101,30 @@ fn roles_keep_the_order_of_the_spec() {
 }
 
 #[test]
+fn settings_of_own_worlds_and_modalities_are_taken_by_dotted_key() {
+    let text = BASE
+        .replace("[proprioception, contact_force]", "[proprioception, grip]")
+        .replace("cluttered", "own.yaml")
+        + "vary: {scaling.grip.scale: [shared, per_element], simulation.hand_range: [[0, 1], [0, 2]]}\n\
+           roles: {plain: {}, heavy: {training.loss_weights.grip: 10, training.losses.grip: huber}}\n\
+           quick: {training.loss_weights.grip: 2}\n";
+    // Keys that no world has are refused when the world is known. The keys themselves are allowed.
+    let said = refusal(&text);
+    assert!(said.contains("own.yaml") && !said.contains("unknown key"), "{said}");
+    for (right, wrong) in [
+        ("training.loss_weights.grip: 10", "training.loss_weights.Grip: 10"),
+        ("scaling.grip.scale", "scaling.grip.scales"),
+        ("training.losses.grip", "training.losses.grip.x"),
+    ] {
+        let said = refusal(text.replace(right, wrong));
+        let key = wrong.split(':').next().unwrap();
+        assert!(said.contains(&format!("unknown key '{key}'")), "{said}");
+    }
+    let said = refusal(text.replace("losses.grip: huber", "losses.grip: hubert"));
+    assert!(said.contains("unknown loss 'hubert' in 'roles.heavy.training.losses.grip'"), "{said}");
+}
+
+#[test]
 fn values_that_make_the_same_runs_are_refused() {
     assert_refused(&[
         (

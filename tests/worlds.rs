@@ -108,6 +108,24 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
         ),
         ("average_over: sample", "average_over: minute", place("sample\n"), "unknown interval 'minute'"),
         (
+            "    joint_positions: arm_*\n",
+            "    joint_positions: arm_*\n    set: true\n",
+            "own.yaml:13:10".into(),
+            "only a pose of bodies or sites has 'set'",
+        ),
+        (
+            "    joint_positions: arm_*\n",
+            "    joint_positions: arm_*\n    relative_to: arm_beam\n",
+            "own.yaml:13:18".into(),
+            "only a pose of bodies or sites has 'relative_to'",
+        ),
+        (
+            "    joint_positions: arm_*\n",
+            "    body_positions: arm_*\n    relative_to: arm_baem\n",
+            "own.yaml:13:18".into(),
+            "no body 'arm_baem'; did you mean 'arm_beam'?",
+        ),
+        (
             "average_over: sample\n",
             "average_over: sample\n    contact_kinds: {ground: ground}\n",
             "own.yaml:20:20".into(),

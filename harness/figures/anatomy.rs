@@ -324,7 +324,9 @@ fn consumers(layers: &[Layer], name: &str) -> usize {
 /// Whether a layer has a block. A layer that only arranges values for the next layer has none.
 fn is_drawn(layers: &[Layer], layer: &Layer) -> bool {
     match layer.operation {
-        Operation::Columns { .. } | Operation::Objects { .. } | Operation::Flatten | Operation::Reshape => false,
+        Operation::Columns { .. } | Operation::Objects { .. } | Operation::Flatten | Operation::Reshape => {
+            false
+        }
         Operation::Concatenate => consumers(layers, &layer.name) > 1,
         _ => true,
     }

@@ -527,9 +527,8 @@ impl Writer<'_> {
         let samples = self.node("Reshape", &[rows, &shape], format!("{output}.samples"), Vec::new());
         let axis = self.numbers(format!("{output}.axis"), &[1]);
         let keep = || vec![Attribute::int("keepdims", 0)];
-        let parts = ["ReduceSum", "ReduceMax"].map(|operator| {
-            self.node(operator, &[&samples, &axis], format!("{output}.{operator}"), keep())
-        });
+        let parts = ["ReduceSum", "ReduceMax"]
+            .map(|operator| self.node(operator, &[&samples, &axis], format!("{output}.{operator}"), keep()));
         self.node("Concat", &parts, output, vec![Attribute::int("axis", 1)]);
     }
 

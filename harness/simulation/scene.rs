@@ -4,7 +4,8 @@ use super::course::Course;
 use super::load::{compile_error, load_file, load_text};
 use super::plugins::load_plugins;
 use super::resolve::{
-    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow, Tip, within,
+    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow,
+    Tip, within,
 };
 use super::standing::GroundModel;
 use super::timing::Timing;

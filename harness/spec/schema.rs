@@ -6,8 +6,8 @@ use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
 use harness_yaml::{
-    Node, Problem, allow_single_values, check_against, join, list_single, properties, property, resolve,
-    takes_one_item, types,
+    Node, Problem, allow_single_values, check_against, join, key_pattern, list_single, properties, property,
+    resolve, takes_one_item, types,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
@@ -168,15 +168,26 @@ fn several((key, setting): (&String, &Json)) -> (String, Json) {
     (key.clone(), json!({ "type": "array", "items": setting, "minItems": 1, "uniqueItems": true }))
 }
 
-/// Sets the keys of a section and forbids all others.
+/// Sets the keys of a section and forbids all others. A `*` in a key stands for any name.
 fn set_keys(section: &mut Json, keys: impl IntoIterator<Item = (String, Json)>) {
-    section["properties"] = keys.into_iter().collect::<serde_json::Map<_, _>>().into();
+    let (patterns, names): (Vec<_>, Vec<_>) = keys.into_iter().partition(|(key, _)| key.contains('*'));
+    let patterns = patterns.into_iter().map(|(key, setting)| (key_pattern(&key), setting));
+    section["properties"] = names.into_iter().collect::<serde_json::Map<_, _>>().into();
+    section["patternProperties"] = patterns.collect::<serde_json::Map<_, _>>().into();
     section["additionalProperties"] = json!(false);
 }
 
-/// Adds what `schema` describes, down to the values that are no sections, by dotted key.
+/// The settings of worlds that are not built in.
+const OF_OTHER_WORLDS: [&str; 2] = ["*_range*", "*_clearance_m"];
+
+/// Adds what `schema` describes, down to the values that are no sections, by dotted key. The key of what a world or a
+/// modality of any name has contains a `*`.
 fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut serde_json::Map<String, Json>) {
-    for (name, property) in properties(schema) {
+    let own = properties(schema).map(|(name, property)| (name.as_str(), property));
+    let others = schema.get("additionalProperties").filter(|others| others.is_object());
+    let names: &[&str] = if prefix == "simulation" { &OF_OTHER_WORLDS } else { &["*"] };
+    let others = others.into_iter().flat_map(|others| names.iter().map(move |name| (*name, others)));
+    for (name, property) in own.chain(others) {
         let path = join(prefix, name);
         let definition = resolve(root, property).0;
         if definition.get("properties").is_some() {
@@ -277,6 +288,7 @@ mod tests {
             "type",
             "properties",
             "required",
+            "patternProperties",
             "additionalProperties",
             "items",
             "minItems",
@@ -298,7 +310,9 @@ mod tests {
                 let keyword = keyword.as_str();
                 assert!(ANNOTATIONS.contains(&keyword) || CHECKED.contains(&keyword), "{keyword}: {value}");
                 match keyword {
-                    "$defs" | "properties" => value.as_object().unwrap().values().for_each(visit),
+                    "$defs" | "properties" | "patternProperties" => {
+                        value.as_object().unwrap().values().for_each(visit)
+                    }
                     "items" => visit(value),
                     "anyOf" | "oneOf" => value.as_array().unwrap().iter().for_each(visit),
                     // False, or what every other key's value must be.

@@ -77,13 +77,41 @@ fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
     has_type(schema, value) || takes_one_item(schema) && fits(root, &schema["items"], value)
 }
 
-/// The schema of a section's key: its own, or the one that all others have; null or false where there is none.
+/// The schema of a section's key: its own, that of a pattern ([`key_pattern`]), or the one that all other keys have;
+/// null or false where there is none.
 pub fn property<'a>(schema: &'a Json, key: &str) -> &'a Json {
+    let patterns = || schema["patternProperties"].as_object().into_iter().flatten();
     match schema["properties"].get(key) {
         Some(own) => own,
         None if is_name(key) => &schema["additionalProperties"],
-        None => &Json::Null,
+        None => patterns().find(|(pattern, _)| is_like(pattern, key)).map_or(&Json::Null, |(_, own)| own),
     }
+}
+
+/// Returns the regular expression of a dotted key in which `*` stands for any characters of a name.
+pub fn key_pattern(key: &str) -> String {
+    format!("^{}$", key.replace('.', DOT).replace('*', ANY))
+}
+
+/// The dot of a key in a regular expression.
+const DOT: &str = r"\.";
+/// Any characters of a name in a regular expression.
+const ANY: &str = "[a-z0-9_]*";
+
+/// Whether a dotted key matches a regular expression of [`key_pattern`], and each of its steps is a name.
+fn is_like(pattern: &str, key: &str) -> bool {
+    fn step_is_like(pattern: &str, step: &str) -> bool {
+        match pattern.split_once(ANY) {
+            None => pattern == step,
+            Some((start, rest)) => step
+                .strip_prefix(start)
+                .is_some_and(|end| (0..=end.len()).any(|index| step_is_like(rest, &end[index..]))),
+        }
+    }
+    let patterns: Vec<&str> = pattern.trim_start_matches('^').trim_end_matches('$').split(DOT).collect();
+    let steps: Vec<&str> = key.split('.').collect();
+    patterns.len() == steps.len()
+        && patterns.iter().zip(steps).all(|(pattern, step)| is_name(step) && step_is_like(pattern, step))
 }
 
 /// Refuses a tree that its schema does not allow.

@@ -195,8 +195,8 @@ pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'stat
     Ok(found.into_iter().map(|file| (file.task.name(), file.path, file.description.json())).collect())
 }
 
-/// Whether a run of a results folder whose id, or `EXPERIMENT/ID`, begins with `run` may have a network. Published copies
-/// have one only if it was published with them, and a folder that is missing has no runs.
+/// Whether a run of a results folder whose id, or `EXPERIMENT/ID`, begins with `run` may have a network. Published
+/// copies have one only if it was published with them, and a folder that is missing has no runs.
 #[pyfunction]
 pub fn may_have_network(py: Python, run: &str, results: PathBuf) -> PyResult<bool> {
     let registry = Registry::new(results);

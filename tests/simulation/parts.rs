@@ -269,3 +269,51 @@ fn mistakes_about_mocap_bodies_have_their_line() {
         assert!(said.starts_with("robot.yaml:1") && said.contains(expected), "{said}");
     }
 }
+
+/// Returns the product of two quaternions w, x, y, z.
+fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+#[test]
+fn poses_relative_to_a_body_are_those_in_its_frame() {
+    let world = "modalities:\n  places: {body_positions: [rock, arm]}\n  turns: {body_orientations: [rock, arm]}\n  \
+                 near: {body_positions: [rock, arm], relative_to: arm, set: true}\n  \
+                 turned: {body_orientations: [rock, arm], relative_to: arm}\n\
+                 action: {actuators: {turn: {range: [-0.1, 0.1]}}}\n";
+    let scene = scene(TUMBLING, world).unwrap();
+    let definition = |name: &str| &scene.layout()[Modality::new(name).unwrap()];
+    assert_eq!(definition("near").meaning, "Position in the frame of arm of");
+    assert_eq!((definition("near").objects, definition("turned").objects), (Some(2), None));
+    let episode = run(&scene, 2);
+    let [places, near] = ["places", "near"].map(|name| vector(&episode, name).chunks(6));
+    let [turns, turned] = ["turns", "turned"].map(|name| vector(&episode, name).chunks(8));
+    let mut moved = 0.0_f64;
+    for (((place, near), turn), turned) in places.zip(near).zip(turns).zip(turned) {
+        let quaternion = |values: &[f32]| [0, 1, 2, 3].map(|index| f64::from(values[index]));
+        let [w, x, y, z] = quaternion(&turn[4..]);
+        let back = [w, -x, -y, -z];
+        let [dx, dy, dz] = [0, 1, 2].map(|axis| f64::from(place[axis] - place[3 + axis]));
+        let [_, expected @ ..] = product(product(back, [0.0, dx, dy, dz]), [w, x, y, z]);
+        let mut relative = product(back, quaternion(turn));
+        let sign = if relative[0] < 0.0 { -1.0 } else { 1.0 };
+        relative.iter_mut().for_each(|value| *value *= sign);
+        let off = |found: &[f32], expected: &[f64]| {
+            found
+                .iter()
+                .zip(expected)
+                .map(|(found, expected)| (f64::from(*found) - expected).abs())
+                .fold(0.0, f64::max)
+        };
+        assert!(off(near, &[expected.as_slice(), &[0.0; 3]].concat()) < 1e-5, "{near:?} is not {expected:?}");
+        assert!(off(turned, &[relative.as_slice(), &[1.0, 0.0, 0.0, 0.0]].concat()) < 1e-5, "{turned:?}");
+        moved = moved.max(off(near, &[dx, dy, dz]));
+    }
+    // The frame turns: the differences in the world are others.
+    assert!(moved > 0.01, "{moved}");
+}

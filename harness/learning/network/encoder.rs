@@ -143,8 +143,7 @@ impl Encoder for EarlyEncoder {
         let hidden = match &self.weight {
             Some(weight) => {
                 let layer = Dense { weight: weight.clone(), bias: self.bias.clone() };
-                (seen
-                    + layer.forward(&self.vectors.forward(observation)?, false, self.frames.arithmetic)?)?
+                (seen + layer.forward(&self.vectors.forward(observation)?, false, self.frames.arithmetic)?)?
             }
             None => seen.broadcast_add(&self.bias)?,
         };
