@@ -267,7 +267,7 @@ def scene(name):
     )
     beam = arm(world)
     finger(beam, FEWER_JOINTS if name == "twelve" else JOINTS, tendons=name == "tendon")
-    if name in ("wrist", "twelve"):
+    if name in ("wrist", "twelve", "crowded"):
         axes = look_at(WRIST_POSITION, WRIST_TARGET)
         beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
     if name in ("cluttered", "crowded", "wrist"):

@@ -123,7 +123,7 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "    joint_positions: arm_*\n",
             "    body_positions: arm_*\n    relative_to: arm_baem\n",
             "own.yaml:13:18".into(),
-            "no body 'arm_baem'; did you mean 'arm_beam'?",
+            "the model has no body 'arm_baem'; the model has world, arm_shaft, arm_carriage, arm_beam, finger_link_00",
         ),
         (
             "average_over: sample\n",
