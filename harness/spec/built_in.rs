@@ -33,6 +33,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_multi_losses",
     "choose_multi_widths",
     "choose_recipe",
+    "choose_sight",
     "force_assumptions",
     "latent_assumptions",
     "memory",
