@@ -550,6 +550,65 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
 }
 
 #[test]
+fn differences_from_a_column_are_those_of_runs_with_the_same_dataset_and_seed() {
+    let results = fresh("compare_difference");
+    let settings = [
+        "scenarios=[empty]",
+        "tasks=[prediction]",
+        "latent=[2, 4]",
+        "vary={simulation.seed: [0, 1, 2]}",
+        "training.epochs=1",
+    ];
+    succeed(&results, &[&["run", SMOKE], &settings[..]].concat());
+    // A run of one latent size without its counterpart is left out.
+    succeed(
+        &results,
+        &[&["run", SMOKE, "latent=4", "seeds=1"], &[settings[0], settings[1], settings[4]][..]].concat(),
+    );
+    let sql = "select run, latent, value from metrics where metric = 'rmse' and modality = 'contact_force' and model = \
+               'network' and index is null and direction is null";
+    let mut values: BTreeMap<String, [Option<f64>; 2]> = BTreeMap::new();
+    for row in query(&results, sql) {
+        let (latent, run) = (row["latent"].as_u64().unwrap(), row["run"].as_str().unwrap());
+        // empty-z4-data1-seed0-07b35321: what is between the latent size and the hash names dataset and seed.
+        let (seeds, _hash) = run.split_once(&format!("z{latent}")).unwrap().1.rsplit_once('-').unwrap();
+        values.entry(seeds.to_owned()).or_default()[usize::from(latent == 4)] = row["value"].as_f64();
+    }
+    let differences: Vec<f64> =
+        values.values().filter_map(|[small, large]| Some((*large)? - (*small)?)).collect();
+    assert_eq!((differences.len(), values.len()), (3, 4), "{values:?}");
+    let mean = differences.iter().sum::<f64>() / 3.0;
+    let squares: f64 = differences.iter().map(|difference| (difference - mean).powi(2)).sum();
+    // Student's t for two degrees of freedom, times the standard error.
+    let half = 4.302_652_73 * (squares / 2.0 / 3.0).sqrt();
+    let signed = format!("{mean:+.4} ± {half:.4}");
+    let arguments =
+        ["compare", "smoke", "--metrics", "rmse", "--by", "latent", "--difference-from", "latent 2"];
+    let printed = succeed(&results, &[&arguments[..], &["--format", "markdown"]].concat());
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header[2..], ["latent 2", "latent 4"], "{printed}");
+    let force = rows.iter().find(|row| row[0] == "contact force").unwrap();
+    assert_eq!(force[3], signed, "{printed}");
+    assert!(!printed.contains("**") && !printed.contains("bold"), "no difference is the best: {printed}");
+    assert!(
+        printed.contains("have the differences from latent 2, of runs with the same dataset and seed"),
+        "{printed}"
+    );
+    let file = results.join("differences.csv").display().to_string();
+    succeed(&results, &[&arguments[..], &["--output", &file]].concat());
+    let csv = std::fs::read_to_string(&file).unwrap();
+    assert_eq!(csv.lines().count(), 1 + 2 * rows.len(), "{csv}");
+    let refused = |arguments: &[&str]| finish(&mut harness(&results, arguments)).stderr;
+    let unknown = refused(&["compare", "smoke", "--by", "latent", "--difference-from", "latent 3"]);
+    assert_eq!(
+        unknown,
+        "error: there is no column 'latent 3'; the columns of networks are latent 2, latent 4\n"
+    );
+    let scenarios = refused(&["compare", "--by", "scenario", "--difference-from", "empty"]);
+    assert!(scenarios.contains("each scenario has its own; leave scenario out of --by"), "{scenarios}");
+}
+
+#[test]
 fn what_is_chosen_is_what_is_printed() {
     let printed = succeed(
         &RESULTS,

@@ -22,6 +22,8 @@ pub struct Mean {
     pub unit: String,
     /// The values of all datasets and seeds. A baseline has one value for each dataset, because it has no seed.
     pub values: Vec<f64>,
+    /// The seed of the dataset and the seed of the training that each value is of.
+    pub seeds: Vec<(u64, u64)>,
     /// Number of datasets that the values are of.
     pub datasets: usize,
     /// Their mean, with a confidence interval.
@@ -81,6 +83,23 @@ impl Of {
 }
 
 impl Mean {
+    /// The mean of some values with the seeds of their dataset and training; `None` without values.
+    fn new(of: Of, unit: String, replicates: Vec<((u64, u64), f64)>) -> Option<Self> {
+        let interval = interval(replicates.iter().map(|((dataset, _), value)| (*dataset, *value)))?;
+        let (seeds, values): (Vec<(u64, u64)>, Vec<f64>) = replicates.into_iter().unzip();
+        let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
+        Some(Self { of, unit, values, seeds, datasets, interval })
+    }
+
+    /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
+    /// if they share none. Both must be of the same scenario, so that the values are of the same data.
+    pub fn difference_from(&self, base: &Mean) -> Option<Self> {
+        let of_base: HashMap<&(u64, u64), f64> = base.seeds.iter().zip(base.values.iter().copied()).collect();
+        let own = self.seeds.iter().zip(&self.values);
+        let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(seeds)?)));
+        Self::new(self.of.clone(), self.unit.clone(), differences.collect())
+    }
+
     /// Converts means to a table with one row for each mean. Settings by which they are told apart are columns, and the
     /// horizon is one if they are told apart by it.
     ///
@@ -157,8 +176,8 @@ fn model_of(variant: &str) -> String {
     model_parts(variant).1.map_or_else(String::new, |model| format!("model={model}"))
 }
 
-/// The unit of a mean, and for each run's position the seed of its dataset and the value.
-type Values = (String, BTreeMap<usize, (u64, f64)>);
+/// The unit of a mean, and for each run's position the seeds of its dataset and its training, and the value.
+type Values = (String, BTreeMap<usize, ((u64, u64), f64)>);
 
 impl Analysis {
     /// The means of all metrics of whole modalities (see [`OVERALL`]), for each group of runs that count, and for the
@@ -256,18 +275,15 @@ impl Analysis {
                 continue;
             }
             let (_, values) = found.entry(of).or_insert_with(|| (row.unit, BTreeMap::new()));
-            values.insert(place, (spec.dataset_seed(), row.value));
+            values.insert(place, ((spec.dataset_seed(), spec.seed), row.value));
         }
         let mean = |(of, (unit, values)): (Of, Values)| {
-            let mut values: Vec<(u64, f64)> = values.into_values().collect();
+            let mut values: Vec<((u64, u64), f64)> = values.into_values().collect();
             if of.model != NETWORK {
                 let mut datasets = BTreeSet::new();
-                values.retain(|(dataset, _)| datasets.insert(*dataset));
+                values.retain(|((dataset, _), _)| datasets.insert(*dataset));
             }
-            let interval = interval(values.iter().copied())?;
-            let datasets = values.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
-            let values = values.into_iter().map(|(_, value)| value).collect();
-            Some(Mean { of, unit, values, datasets, interval })
+            Mean::new(of, unit, values)
         };
         found.into_iter().filter_map(mean).collect()
     }

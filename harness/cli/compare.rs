@@ -15,6 +15,7 @@ use harness::metrics::Metric;
 use harness::numbers::Natural;
 use harness::registry::Registry;
 use harness::spec::{Modality, Origin, Task, model_parts, variant_parts};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
 
@@ -44,6 +45,10 @@ pub struct Compare {
     /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
+    /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those
+    /// of runs with the same dataset and seed
+    #[arg(long, value_name = "COLUMN")]
+    difference_from: Option<String>,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
@@ -75,6 +80,19 @@ pub enum CompareError {
         /// The metrics that users added to runs.
         own: BTreeSet<String>,
     },
+    /// No column of networks has the heading of `--difference-from`.
+    #[error("there is no column '{wanted}'; the columns of networks are {}", columns.join(", "))]
+    Column {
+        /// The heading.
+        wanted: String,
+        /// The headings of the columns of networks.
+        columns: Vec<String>,
+    },
+    /// Columns of different scenarios can't be subtracted.
+    #[error(
+        "--difference-from compares runs on the same data, and each scenario has its own; leave scenario out of --by"
+    )]
+    Scenarios,
     /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
     Nothing(String),
@@ -103,18 +121,26 @@ impl Compare {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
             return Err(CompareError::Empty(registry.command(list)).into());
         }
+        let labels = Labels::new(&analysis, &self.by);
+        let by = if self.by.is_empty() { vec![usual(&means, &labels)] } else { self.by };
+        let mut comparison = Comparison::new(&means, &by, &self.metrics, &labels);
+        if let Some(base) = &self.difference_from {
+            if by.contains(&Key::Scenario) {
+                return Err(CompareError::Scenarios.into());
+            }
+            comparison.subtract(base)?;
+        }
         let style = match form {
             Form::Page(style) => style,
             Form::Data(data) => {
                 for note in analysis.notes() {
                     eprintln!("{note}");
                 }
+                let means: Vec<Mean> =
+                    if self.difference_from.is_some() { comparison.means() } else { means };
                 return data.write(&mut Mean::frame(&means)?, "mean");
             }
         };
-        let labels = Labels::new(&analysis, &self.by);
-        let by = if self.by.is_empty() { vec![usual(&means, &labels)] } else { self.by };
-        let mut comparison = Comparison::new(means.iter(), &by, &self.metrics, &labels);
         if by.contains(&Key::Horizon) {
             comparison.notes.extend(analysis.sample_rate_hz().map(of_samples));
         }
@@ -287,17 +313,14 @@ impl Subject {
 struct Comparison<'a> {
     metrics: &'a [String],
     units: BTreeMap<Subject, &'a str>,
-    values: BTreeMap<(Subject, Side), &'a Mean>,
+    values: BTreeMap<(Subject, Side), Cow<'a, Mean>>,
+    /// The column from which the values of all other columns are differences, if they are.
+    base: Option<Side>,
     notes: Vec<String>,
 }
 
 impl<'a> Comparison<'a> {
-    fn new(
-        means: impl Iterator<Item = &'a Mean>,
-        by: &[Key],
-        metrics: &'a [String],
-        labels: &Labels,
-    ) -> Self {
+    fn new(means: &'a [Mean], by: &[Key], metrics: &'a [String], labels: &Labels) -> Self {
         // An external model is a column beside the networks on the same data.
         let variants_are_rows = !by.contains(&Key::Variant);
         let subject = |of: &Of| Subject {
@@ -318,10 +341,10 @@ impl<'a> Comparison<'a> {
                 .map(str::to_owned),
             place: Place::of(of, labels, |key| by.contains(&key)),
         };
-        let mut comparison =
-            Self { metrics, units: BTreeMap::new(), values: BTreeMap::new(), notes: Vec::new() };
+        let (units, values, base, notes) = Default::default();
+        let mut comparison = Self { metrics, units, values, base, notes };
         let (networks, baselines): (Vec<&Mean>, Vec<&Mean>) =
-            means.partition(|mean| mean.of.model == NETWORK);
+            means.iter().partition(|mean| mean.of.model == NETWORK);
         let mut rows: BTreeMap<Subject, Vec<Subject>> = BTreeMap::new();
         for mean in networks {
             let subject = subject(&mean.of);
@@ -345,7 +368,41 @@ impl<'a> Comparison<'a> {
 
     fn insert(&mut self, subject: Subject, side: Side, mean: &'a Mean) {
         self.units.insert(subject.clone(), &mean.unit);
-        self.values.insert((subject, side), mean);
+        self.values.insert((subject, side), Cow::Borrowed(mean));
+    }
+
+    /// Replaces the values of each column by their differences from those of the column with the heading `base`. The
+    /// columns of baselines are left out, because a baseline has no seed.
+    fn subtract(&mut self, base: &str) -> Result<(), CompareError> {
+        let of_networks = self.values.keys().map(|(_, side)| side).filter(|side| side.baseline.is_none());
+        let named: BTreeMap<&Side, String> =
+            of_networks.map(|side| (side, side.name(Style::Text, &BTreeMap::new()))).collect();
+        let Some((side, _)) = named.iter().find(|(_, name)| *name == base) else {
+            let columns = named.into_values().collect();
+            return Err(CompareError::Column { wanted: base.to_owned(), columns });
+        };
+        let side = (*side).clone();
+        let mut differences = BTreeMap::new();
+        for ((subject, own), mean) in &self.values {
+            let Some(of_base) = self.values.get(&(subject.clone(), side.clone())) else { continue };
+            let value =
+                if *own == side { Some(mean.clone()) } else { mean.difference_from(of_base).map(Cow::Owned) };
+            if let Some(value) = value.filter(|_| own.baseline.is_none()) {
+                differences.insert((subject.clone(), own.clone()), value);
+            }
+        }
+        self.units.retain(|subject, _| differences.keys().any(|(own, _)| own == subject));
+        self.values = differences;
+        self.base = Some(side);
+        self.notes.push(format!(
+            "the other columns have the differences from {base}, of runs with the same dataset and seed"
+        ));
+        Ok(())
+    }
+
+    /// The values of all rows and columns.
+    fn means(self) -> Vec<Mean> {
+        self.values.into_values().map(Cow::into_owned).collect()
     }
 
     /// Makes one column of the columns of a baseline if they show the same numbers in every row.
@@ -373,15 +430,14 @@ impl<'a> Comparison<'a> {
         let legend = if style == Style::Text { self.trials() } else { BTreeMap::new() };
         let header = sides.iter().map(|side| side.name(style, &legend));
         let rows = self.units.iter().map(|(subject, unit)| {
-            let values =
-                sides.iter().map(|side| self.values.get(&(subject.clone(), (*side).clone())).copied());
-            (self.words(subject, unit, style, &legend), self.cells(subject, unit, values, style))
+            (self.words(subject, unit, style, &legend), self.cells(subject, unit, &sides, style))
         });
         let rows: Vec<_> = rows.collect();
         // The last two words are the modality and the metric.
         let titles = rows.first().map_or(0, |(words, _)| words.len() - 2);
         let header = header.collect();
-        Sheet { titles, header, rows, notes: self.notes.clone(), legend: legend.into_iter().collect() }
+        let (marked, notes) = (self.base.is_none(), self.notes.clone());
+        Sheet { titles, header, rows, marked, notes, legend: legend.into_iter().collect() }
     }
 
     /// The names of trials, and their settings. A name that trials with different settings have is left out.
@@ -415,24 +471,22 @@ impl<'a> Comparison<'a> {
         words
     }
 
-    /// The cells of a row: the mean and half of its interval, with the best mean marked. A missing mean is empty.
-    fn cells<'v>(
-        &self,
-        subject: &Subject,
-        unit: &str,
-        values: impl Iterator<Item = Option<&'v Mean>>,
-        style: Style,
-    ) -> Vec<String> {
-        let intervals: Vec<Option<Interval>> = values.map(|mean| Some(mean?.interval)).collect();
-        let means: Vec<Option<f64>> =
-            intervals.iter().map(|interval| Some(interval.as_ref()?.mean)).collect();
-        let best = best(&self.metrics[subject.metric], unit, &means);
-        let cell = |(interval, is_best): (&Option<Interval>, bool)| {
+    /// The cells of a row: the mean and half of its interval, with the best mean marked. A missing mean is empty, and a
+    /// difference has a sign.
+    fn cells(&self, subject: &Subject, unit: &str, sides: &BTreeSet<&Side>, style: Style) -> Vec<String> {
+        let interval = |side: &&Side| Some(self.values.get(&(subject.clone(), (**side).clone()))?.interval);
+        let intervals: Vec<Option<Interval>> = sides.iter().map(interval).collect();
+        let means =
+            intervals.iter().map(|interval| Some(interval.as_ref()?.mean).filter(|_| self.base.is_none()));
+        let best = best(&self.metrics[subject.metric], unit, &means.collect::<Vec<_>>());
+        let cell = |((side, interval), is_best): ((&&Side, &Option<Interval>), bool)| {
             let Some(interval) = interval else { return String::new() };
             let (mean, half) = printed(interval, unit);
-            style.number(&mean, half.as_deref(), is_best)
+            let is_difference = self.base.as_ref().is_some_and(|base| base != *side);
+            let sign = if is_difference && !mean.starts_with('-') { "+" } else { "" };
+            style.number(&format!("{sign}{mean}"), half.as_deref(), is_best)
         };
-        intervals.iter().zip(best).map(cell).collect()
+        sides.iter().zip(&intervals).zip(best).map(cell).collect()
     }
 
     /// A note with the number of datasets and seeds of the means.
@@ -441,7 +495,7 @@ impl<'a> Comparison<'a> {
         if self.values.keys().all(|(_, side)| side.baseline.is_some()) {
             return String::new();
         }
-        match replicates_of(network.map(|(_, mean)| *mean)) {
+        match replicates_of(network.map(|(_, mean)| mean.as_ref())) {
             Some(over) => format!("mean ± half of the 95 % interval over {over}"),
             None => "one seed, so without intervals".into(),
         }

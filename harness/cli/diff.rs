@@ -95,6 +95,7 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord) -> Result<Sheet> {
         titles: 2,
         header,
         rows: differing.into_iter().flatten().map(row).collect(),
+        marked: true,
         notes,
         ..Sheet::default()
     })

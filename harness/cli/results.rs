@@ -81,7 +81,14 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let header = models::ALL.map(|model| model.replace('_', " ")).to_vec();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let notes = rows.iter().any(is_part).then(|| BY_UNIT.to_owned()).into_iter().collect();
-    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
+    Ok(Sheet {
+        titles: 4,
+        header,
+        rows: rows.into_iter().map(row).collect(),
+        marked: true,
+        notes,
+        ..Sheet::default()
+    })
 }
 
 /// The run with the lowest validation error of some runs that were validated alike.

@@ -92,6 +92,8 @@ pub struct Sheet {
     pub header: Vec<String>,
     /// The rows: the same number of words in each, and numbers in the table's format. A missing number is empty.
     pub rows: Vec<(Vec<String>, Vec<String>)>,
+    /// Whether the best value of each row is marked.
+    pub marked: bool,
     /// Sentences about the table.
     pub notes: Vec<String>,
     /// Words of the table that stand for longer ones, with their meaning. It is printed below a text.
@@ -107,15 +109,21 @@ impl Sheet {
         let note = notes.map(String::as_str).collect::<Vec<_>>().join("; ");
         match style {
             Style::Text => {
-                let note = format!("{note}; * the best of its row; ↑ higher is better, ↓ lower is better");
+                let best = if self.marked { "* the best of its row; " } else { "" };
+                let note = format!("{note}; {best}↑ higher is better, ↓ lower is better");
                 let legend = beside(self.legend.iter().cloned(), limit);
                 let note = fitted(note.trim_start_matches("; "), limit);
                 let parts = [self.text(limit), legend, note].into_iter().filter(|part| !part.is_empty());
                 parts.collect::<Vec<_>>().join("\n\n") + "\n"
             }
-            Style::Markdown => format!("{}\n{note}; bold: the best of its row\n", self.markdown()),
-            Style::Latex => format!("% {note}; bold: the best of its row\n{}", self.latex()),
+            Style::Markdown => format!("{}\n{note}{}\n", self.markdown(), self.bold()),
+            Style::Latex => format!("% {note}{}\n{}", self.bold(), self.latex()),
         }
+    }
+
+    /// A note about bold numbers.
+    fn bold(&self) -> &'static str {
+        if self.marked { "; bold: the best of its row" } else { "" }
     }
 
     /// Removes the columns of words that are the same in every row, and returns these words. A single row keeps its
