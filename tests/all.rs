@@ -39,4 +39,5 @@ mod sql;
 mod suggestions;
 mod tables;
 mod terminal;
+mod value;
 mod worlds;
