@@ -526,9 +526,11 @@ impl Writer<'_> {
         let shape = self.shape(format!("{output}.shape"), &[-1, objects as i64, width as i64]);
         let samples = self.node("Reshape", &[rows, &shape], format!("{output}.samples"), Vec::new());
         let axis = self.numbers(format!("{output}.axis"), &[1]);
-        let keep = || vec![Attribute::int("keepdims", 0)];
-        let parts = ["ReduceSum", "ReduceMax"]
-            .map(|operator| self.node(operator, &[&samples, &axis], format!("{output}.{operator}"), keep()));
+        // In this version of the operators, the axes are an input of one and an attribute of the other.
+        let keep = Attribute::int("keepdims", 0);
+        let sum = self.node("ReduceSum", &[&samples, &axis], format!("{output}.sum"), vec![keep.clone()]);
+        let axes = vec![Attribute::ints("axes", &[1]), keep];
+        let parts = [sum, self.node("ReduceMax", &[&samples], format!("{output}.maximum"), axes)];
         self.node("Concat", &parts, output, vec![Attribute::int("axis", 1)]);
     }
 
