@@ -117,6 +117,9 @@ fn draw_normal(Normal { mean, deviation, range: [low, high] }: &Normal, rng: &mu
     }
 }
 
+/// Number of the parameters of an affine gain or bias.
+const AFFINE: usize = 3;
+
 /// Changes a property of one object of a model.
 fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64]) {
     let scale = values[0];
@@ -160,6 +163,13 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
         Property::CameraPosition => {
             model.cam_pos_mut()[thing].iter_mut().zip(values).for_each(|(value, offset)| *value += offset);
         }
+        Property::ActuatorStrength => {
+            // SAFETY: the gains are those of a fixed or an affine gain, which are only factors of the force.
+            let gains = unsafe { model.actuator_gainprm_mut() };
+            gains[thing][..AFFINE].iter_mut().for_each(|value| *value *= scale);
+            model.actuator_biasprm_mut()[thing][..AFFINE].iter_mut().for_each(|value| *value *= scale);
+        }
+        Property::Gravity => model.opt_mut().gravity.iter_mut().for_each(|value| *value *= scale),
         Property::CameraRotation => {
             let turned = product(model.cam_quat()[thing], quaternion(values));
             model.cam_quat_mut()[thing] = turned;

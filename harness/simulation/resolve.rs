@@ -833,7 +833,8 @@ impl<'a> Resolver<'a> {
             let path = format!("factors.{name}.{property}");
             let kind = match property {
                 Property::JointStiffness | Property::JointDamping => JOINT,
-                Property::BodyMass => BODY,
+                Property::BodyMass | Property::Gravity => BODY,
+                Property::ActuatorStrength => ACTUATOR,
                 Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
                 Property::LightBrightness => LIGHT,
                 Property::CameraPosition | Property::CameraRotation => CAMERA,
@@ -910,6 +911,14 @@ impl<'a> Resolver<'a> {
                 (!is_known).then(|| {
                     "is not a sphere, capsule, ellipsoid, cylinder or box, so its size can't be changed"
                         .into()
+                })
+            }
+            Property::Gravity if id != 0 => Some("has no gravity of its own; name the body 'world'".into()),
+            Property::ActuatorStrength => {
+                let gains = [MjtGain::mjGAIN_FIXED, MjtGain::mjGAIN_AFFINE];
+                let is_known = gains.contains(&model.actuator_gaintype()[id]);
+                (!is_known).then(|| {
+                    "has neither a fixed nor an affine gain, so a factor can't multiply its force".into()
                 })
             }
             Property::CameraRotation => {

@@ -92,7 +92,9 @@ impl Scene {
             Property::JointStiffness
             | Property::JointDamping
             | Property::BodyMass
-            | Property::GeomFriction => true,
+            | Property::GeomFriction
+            | Property::ActuatorStrength
+            | Property::Gravity => true,
             Property::GeomSize => !factor.things.iter().any(|geom| self.sees(*geom)),
             _ => false,
         };
@@ -203,7 +205,8 @@ impl Scene {
     fn names(&self, factor: &SceneFactor, things: &[usize]) -> String {
         let kind = match factor.property {
             Property::JointStiffness | Property::JointDamping => MjtObjBase::mjOBJ_JOINT,
-            Property::BodyMass => MjtObjBase::mjOBJ_BODY,
+            Property::BodyMass | Property::Gravity => MjtObjBase::mjOBJ_BODY,
+            Property::ActuatorStrength => MjtObjBase::mjOBJ_ACTUATOR,
             Property::GeomFriction | Property::GeomSize | Property::GeomColour => MjtObjBase::mjOBJ_GEOM,
             Property::LightBrightness => MjtObjBase::mjOBJ_LIGHT,
             Property::CameraPosition | Property::CameraRotation => MjtObjBase::mjOBJ_CAMERA,
@@ -232,6 +235,10 @@ fn values(model: &MjModel, property: Property, thing: usize) -> Vec<f64> {
         }
         Property::CameraPosition => model.cam_pos()[thing].to_vec(),
         Property::CameraRotation => model.cam_quat()[thing].to_vec(),
+        Property::ActuatorStrength => {
+            [model.actuator_gainprm()[thing], model.actuator_biasprm()[thing]].concat()
+        }
+        Property::Gravity => model.opt().gravity.to_vec(),
     }
 }
 

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A factor of variation: exactly one of `joint_stiffness`, `joint_damping`, `body_mass`, `geom_friction`, `geom_size`,
-/// `geom_colour`, `light_brightness`, `camera_position` and `camera_rotation`, and its distribution.
+/// `geom_colour`, `light_brightness`, `camera_position`, `camera_rotation`, `actuator_strength` and `gravity`, and its
+/// distribution.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factor {
@@ -48,8 +49,16 @@ pub struct Factor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub camera_rotation: Option<Vec<String>>,
+    /// Forces of actuators: their gains and biases.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub actuator_strength: Option<Vec<String>>,
+    /// Gravity, of the body `world`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub gravity: Option<Vec<String>>,
     /// Distribution of the number by which the model's value is multiplied, for stiffness, damping, mass, friction,
-    /// size and brightness.
+    /// size, brightness, strength and gravity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub scale_by: Option<Distribution>,
@@ -132,6 +141,10 @@ pub enum Property {
     CameraPosition,
     /// Orientation of cameras, turned by a rotation vector, rad.
     CameraRotation,
+    /// Gains and biases of actuators, multiplied.
+    ActuatorStrength,
+    /// Acceleration of gravity, multiplied.
+    Gravity,
 }
 names!(Property {
     JointStiffness => "joint_stiffness",
@@ -143,6 +156,8 @@ names!(Property {
     LightBrightness => "light_brightness",
     CameraPosition => "camera_position",
     CameraRotation => "camera_rotation",
+    ActuatorStrength => "actuator_strength",
+    Gravity => "gravity",
 });
 
 impl Property {
@@ -216,6 +231,8 @@ impl Factor {
             (Property::LightBrightness, &self.light_brightness),
             (Property::CameraPosition, &self.camera_position),
             (Property::CameraRotation, &self.camera_rotation),
+            (Property::ActuatorStrength, &self.actuator_strength),
+            (Property::Gravity, &self.gravity),
         ];
         patterns.into_iter().filter_map(|(property, patterns)| Some((property, patterns.as_deref()?)))
     }

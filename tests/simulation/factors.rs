@@ -83,6 +83,8 @@ factors:
   moved: {camera_position: above, offset_by: {choice: 0.5}}
   turned: {camera_rotation: above, offset_by: {choice: 0.1}}
   same: {joint_stiffness: spring, scale_by: {choice: 1}}
+  twice_as_strong: {actuator_strength: [spring, damper, load, sled], scale_by: {choice: 2}}
+  half_the_gravity: {gravity: world, scale_by: {choice: 0.5}}
 ";
 
 fn bench() -> Scene {
@@ -120,6 +122,28 @@ fn stiffness_damping_mass_and_friction_act_by_mechanical_laws() {
         let pushed = (4.0 - 0.3 * scale * gravity).max(0.0);
         assert_near(sled, 0.5 * pushed * time * time, 0.15);
     }
+}
+
+#[test]
+fn strength_multiplies_the_forces_of_actuators_and_gravity_the_weights() {
+    let (time, gravity) = (3.9f64, 9.81);
+    let episode = on_bench(&["twice_as_strong", "half_the_gravity"]);
+    let ([spring, _, load, sled], [_, damper, _, _]): ([f32; 4], [f32; 4]) =
+        (last(&episode, "position"), last(&episode, "speed"));
+    assert_near(spring, 2.0 * 8.0 / 80.0, 1e-4);
+    assert_near(damper, 2.0 * 2.0 / 5.0, 1e-4);
+    assert_near(load, 0.5 * 2.0 * 0.1 / 2.0 * time * time, 1e-3);
+    assert_near(sled, 0.5 * (2.0 * 4.0 - 0.3 * gravity / 2.0) * time * time, 0.3);
+    let [force] = last(&episode, "force");
+    assert_near(force, gravity / 2.0, 0.02);
+}
+
+#[test]
+fn only_the_world_has_gravity() {
+    let text = BENCH_WORLD.replace("gravity: world", "gravity: load");
+    let world = World::parse("bench.yaml", Some("".into()), "bench", &text).unwrap();
+    let said = Scene::from_xml(world.into(), BENCH, "bench.xml".into()).unwrap_err().to_string();
+    assert!(said.ends_with("body 'load' has no gravity of its own; name the body 'world'"), "{said}");
 }
 
 /// The box in the camera's image: its number of pixels, their center (column, row), and their mean color.
