@@ -388,8 +388,8 @@ impl Analysis {
     /// The settings of a run in which its experiment's runs differ, without scenario, latent size and the settings that
     /// its variant names: `training.batch_size=64, training.epochs=2`, or nothing.
     pub fn settings(&self, run: &Run) -> String {
-        let differences = self.experiments.get(&run.record.experiment).map_or(&[][..], |of| &of.differences);
-        named(differences.iter().filter(|difference| !difference.in_variant), run)
+        let Some(of) = self.experiments.get(&run.record.experiment) else { return String::new() };
+        named(of.differences.iter().filter(|one| !one.in_variant && !one.of_scenario), run)
     }
 
     /// The settings of a run in which its experiment's runs differ, apart from those with these keys and those that
@@ -399,6 +399,7 @@ impl Analysis {
         let Some(of) = self.experiments.get(&run.record.experiment) else { return String::new() };
         let others =
             of.differences.iter().filter(|one| one.key != VARIANT && !keys.contains(&one.key.as_str()));
+        let others = others.filter(|one| !one.of_scenario);
         let (varied, mut shown): (Vec<&Difference>, Vec<&Difference>) =
             others.partition(|one| one.in_variant);
         for difference in varied {

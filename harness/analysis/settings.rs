@@ -82,13 +82,15 @@ pub struct Difference {
     pub values: Vec<String>,
     /// Whether each run's `variant` shows the value.
     pub in_variant: bool,
+    /// Whether it is a setting of the simulation, and all runs in the same scenario have the same value.
+    pub of_scenario: bool,
 }
 
 impl Difference {
     /// The values that runs have for the setting `key`.
     pub(super) fn of<'a>(key: &str, runs: impl Iterator<Item = &'a Settings>) -> Self {
         let values = runs.map(|run| value(run, key)).collect();
-        Self { key: key.to_owned(), values: sorted(values), in_variant: false }
+        Self { key: key.to_owned(), values: sorted(values), in_variant: false, of_scenario: false }
     }
 }
 
@@ -131,9 +133,19 @@ pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let differing = values.into_iter().filter(|(_, values)| values.len() > 1);
     let difference = |(key, values)| {
         let in_variant = key == VARIANT || is_in_variant(runs, key);
-        Difference { key: key.to_owned(), values: sorted(values), in_variant }
+        let of_scenario = key.starts_with(SIMULATION) && follows_from_scenario(runs, key);
+        Difference { key: key.to_owned(), values: sorted(values), in_variant, of_scenario }
     };
     differing.map(difference).collect()
+}
+
+/// Whether all runs in the same scenario have the same value of a setting.
+fn follows_from_scenario(runs: &[&Settings], key: &str) -> bool {
+    let mut values: BTreeMap<&str, &str> = BTreeMap::new();
+    concerned(runs, key).all(|run| {
+        let own = value(run, key);
+        *values.entry(value(run, "scenario")).or_insert(own) == own
+    })
 }
 
 /// The runs between which a setting is compared.
