@@ -391,7 +391,8 @@ impl<'a> Comparison<'a> {
                 differences.insert((subject.clone(), own.clone()), value);
             }
         }
-        self.units.retain(|subject, _| differences.keys().any(|(own, _)| own == subject));
+        let shown: BTreeSet<&Subject> = differences.keys().map(|(subject, _)| subject).collect();
+        self.units.retain(|subject, _| shown.contains(subject));
         self.values = differences;
         self.base = Some(side);
         self.notes.push(format!(
