@@ -10,20 +10,20 @@ use harness_spec::Definition;
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
-/// Largest number of points for each element of a panel.
-const POINTS: usize = 400;
+/// Largest number of points for each element of a panel. More points would hide each other.
+pub(super) const POINTS: usize = 400;
 /// Largest number of panels in a row. Each shows one latent size.
-const PANELS: usize = 3;
+pub(super) const PANELS: usize = 3;
 const LEFT: f64 = 36.0;
 const GAP: f64 = 9.0;
 /// Distance between the lines of text above a panel, points.
-const LINE: f64 = 7.5;
+pub(super) const LINE: f64 = 7.5;
 /// Width and height of a panel, points.
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / PANELS as f64;
 /// Height of a row of panels with its legend and labels, points.
 const ROW: f64 = SIDE + 58.0;
 /// The looks of the elements of a panel.
-const LOOKS: [Look; 2] = [
+pub(super) const LOOKS: [Look; 2] = [
     Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false },
     Look { color: WINE, mark: Mark::Square, hollow: false, dashed: false },
 ];
@@ -42,6 +42,40 @@ struct Row<'a> {
     points: ByElement<Vec<[f64; 2]>>,
     /// R² over all test samples, by latent size and element.
     r2: ByElement<Interval>,
+}
+
+/// The points of an element in a panel, as reference and prediction, and their R².
+pub(super) struct Cloud<'a> {
+    pub points: &'a [[f64; 2]],
+    pub r2: Option<&'a Interval>,
+}
+
+/// Draws the points of a panel's elements in the looks of [`LOOKS`], their R² above the panel, and the latent size in
+/// it. An element without points keeps its look and its line of text.
+pub(super) fn draw(
+    page: &mut Page,
+    panel: &Panel,
+    [x, y]: [&Scale; 2],
+    clouds: &[Option<Cloud>],
+    latent: i64,
+) {
+    for (line, (look, cloud)) in LOOKS.iter().zip(clouds).enumerate() {
+        let Some(Cloud { points, r2 }) = cloud else { continue };
+        let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
+        page.cloud(look.mark, &places, 1.2, look.color, 0.4);
+        if let Some(r2) = r2 {
+            let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (clouds.len() - 1 - line) as f64];
+            page.text(&format!("R² {}", mean_words(r2)), at, Type::SMALL.start().color(look.color));
+        }
+    }
+    let size = format!("*z* = {latent}");
+    page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
+}
+
+/// Returns at most [`POINTS`] of some rows, chosen evenly, so that all episodes are represented equally.
+pub(super) fn evenly(rows: &[usize]) -> Vec<usize> {
+    let count = rows.len().min(POINTS);
+    (0..count).map(|point| rows[point * rows.len() / count]).collect()
 }
 
 /// Draws the figure.
@@ -93,10 +127,7 @@ fn rows<'a>(runs: &Runs<'a>) -> Result<(Vec<Row<'a>>, DataFrame), FigureError> {
         let mut points = BTreeMap::new();
         for (key, places) in by_element.iter().filter(|((_, index), _)| elements.contains(&(*index as usize)))
         {
-            // Points are chosen evenly over the test samples, so that all episodes are represented equally.
-            let count = places.len().min(POINTS);
-            let places = (0..count).map(|point| places[point * places.len() / count]);
-            let places: Vec<usize> = places.collect();
+            let places = evenly(places);
             let pair = |row: &usize| Some([references[*row]?, predicted[*row]?]);
             points.insert(*key, places.iter().filter_map(pair).collect::<Vec<_>>());
             chosen.extend(places.into_iter().map(|row| row as IdxSize));
@@ -153,19 +184,11 @@ impl Row<'_> {
             let is_middle = column == (latents.len() - 1) / 2;
             panel.bottom_axis(page, &x, is_middle.then(|| with_unit("reference")).as_deref());
             page.line([x.at(low), y.at(low)], [x.at(high), y.at(high)], Stroke::new(GRAY, 0.6));
-            for (line, (look, element)) in LOOKS.iter().zip(&self.elements).enumerate() {
+            let clouds = self.elements.iter().map(|element| {
                 let key = (*latent, *element as i64);
-                let Some(points) = self.points.get(&key) else { continue };
-                let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
-                page.cloud(look.mark, &places, 1.2, look.color, 0.4);
-                if let Some(r2) = self.r2.get(&key) {
-                    let above = (self.elements.len() - 1 - line) as f64;
-                    let at = [panel.left + 3.0, panel.top - 3.0 - LINE * above];
-                    page.text(&format!("R² {}", mean_words(r2)), at, Type::SMALL.start().color(look.color));
-                }
-            }
-            let size = format!("*z* = {latent}");
-            page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
+                Some(Cloud { points: self.points.get(&key)?, r2: self.r2.get(&key) })
+            });
+            draw(page, &panel, [&x, &y], &clouds.collect::<Vec<_>>(), *latent);
         }
     }
 }

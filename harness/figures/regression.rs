@@ -1,7 +1,8 @@
 //! Figure of predictions over references at the fingertip, in the cluttered scenario.
 
-use super::axes::{Look, Panel, Scale, legend, mean_words, remarks, words_of};
-use super::page::{COLUMN, GRAY, GREEN, Mark, Page, Stroke, Type, WINE};
+use super::axes::{Panel, Scale, legend, remarks, words_of};
+use super::clouds::{Cloud, LINE, LOOKS, PANELS, POINTS, draw, evenly};
+use super::page::{COLUMN, GRAY, Page, Stroke, Type};
 use super::source::{Runs, Source, Study, integers, reals, replicated};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
@@ -10,8 +11,6 @@ use harness_spec::{Modality, Scenario};
 use polars::prelude::*;
 use std::collections::BTreeMap;
 
-/// Largest number of points per panel and direction. More points would hide each other.
-const POINTS: usize = 400;
 /// The axes of angles are about linear up to this angle and logarithmic beyond, so that they show the many small values
 /// as well as the few large ones.
 const LINEAR_RAD: f64 = 0.003;
@@ -19,19 +18,8 @@ const LINEAR_RAD: f64 = 0.003;
 const LINEAR_N: f64 = 3.0;
 const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
-/// Distance between the lines of text above a panel, points.
-const LINE: f64 = 7.5;
-/// Largest number of panels in a row. Each shows one latent size.
-const PANELS: usize = 3;
 /// Width and height of a panel, points.
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / PANELS as f64;
-
-fn look(direction: Direction) -> Look {
-    match direction {
-        Direction::FLEXION_EXTENSION => Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false },
-        _ => Look { color: WINE, mark: Mark::Square, hollow: false, dashed: false },
-    }
-}
 
 /// One study's predictions of one modality.
 struct Predictions {
@@ -102,7 +90,7 @@ struct Block {
 impl Block {
     /// Draws a legend and two rows of panels: predictions without vision, and predictions with vision.
     fn render(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
-        let entries = [0, 1].map(|place| (look(Direction::FINGER[place]), self.names[place].as_str()));
+        let entries = [0, 1].map(|place| (LOOKS[place], self.names[place].as_str()));
         legend(page, COLUMN / 2.0, top, &entries);
         for (row, study) in studies.iter().enumerate() {
             let panel = Panel { left: LEFT, top: top + 33.0, width: SIDE, height: SIDE };
@@ -145,18 +133,11 @@ impl Predictions {
         let ([left, right], [bottom, top]) = (x.range(), y.range());
         let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
         page.line(perfect[0], perfect[1], Stroke::new(GRAY, 0.6));
-        for (line, direction) in Direction::FINGER.into_iter().enumerate() {
-            let look = look(direction);
-            let Some(points) = self.points.get(&(latent, direction)) else { continue };
-            let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
-            page.cloud(look.mark, &places, 1.2, look.color, 0.4);
-            if let Some(r2) = self.r2.get(&(latent, direction)) {
-                let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (1 - line) as f64];
-                page.text(&format!("R² {}", mean_words(r2)), at, Type::SMALL.start().color(look.color));
-            }
-        }
-        let size = format!("*z* = {latent}");
-        page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
+        let clouds = Direction::FINGER.map(|direction| {
+            let key = (latent, direction);
+            Some(Cloud { points: self.points.get(&key)?, r2: self.r2.get(&key) })
+        });
+        draw(page, panel, [x, y], &clouds, latent as i64);
     }
 }
 
@@ -193,11 +174,7 @@ fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictio
     for row in 0..rows.height() {
         groups.entry(key(latents[row], links[row])).or_default().push(row);
     }
-    // Points are chosen evenly over the test samples, so that all episodes are represented equally.
-    for rows in groups.values_mut() {
-        let count = rows.len().min(POINTS);
-        *rows = (0..count).map(|point| rows[point * rows.len() / count]).collect();
-    }
+    groups.values_mut().for_each(|rows| *rows = evenly(rows));
     let (references, predicted) = (reals(&rows, "reference")?, reals(&rows, "predicted")?);
     let pair = |row: &usize| Some([references[*row]?, predicted[*row]?]);
     let points = groups.iter().map(|(key, rows)| (*key, rows.iter().filter_map(pair).collect())).collect();
