@@ -2,7 +2,7 @@
 
 use super::description::{Layer, MEMORY, Operation, POSTERIOR};
 use super::layers::{Builder, Dense};
-use super::unit::{Inputs, Unit, memory_of};
+use super::unit::{Inputs, Steps, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{Result, Tensor};
 use harness_ops::{self as ops, Arithmetic, Recurrence};
@@ -86,11 +86,10 @@ impl Gru {
         Ok(Self { inputs, cell, posterior })
     }
 
-    /// Returns the memory after each sample, and the posteriors.
-    fn steps(&self, inputs: &Tensor, state: &State) -> Result<(Tensor, Posterior)> {
+    fn steps(&self, inputs: &Tensor, state: &State) -> Result<Steps> {
         let memory = self.cell.states(inputs, memory_of(state)?)?;
         let posterior = Posterior(self.posterior.forward(&memory, false, self.cell.arithmetic)?);
-        Ok((memory, posterior))
+        Ok(Steps { memory, posterior })
     }
 }
 
@@ -106,14 +105,11 @@ impl Unit for Gru {
         between: Option<&Tensor>,
         draw: &mut Draw,
     ) -> Result<Seen> {
-        let (memory, posterior) = self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?;
-        let state = State { latent: draw.latent(&posterior)?, action: None, memory: Some(memory) };
-        Ok(Seen { state, divergence: posterior.kl_divergence()? })
+        self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?.seen(draw)
     }
 
     fn unseen(&self, state: &State) -> Result<State> {
-        let (memory, posterior) = self.steps(&self.inputs.of(state, None, None)?, state)?;
-        Ok(State { latent: posterior.mean()?, action: None, memory: Some(memory) })
+        self.steps(&self.inputs.of(state, None, None)?, state)?.unseen()
     }
 
     fn detached(&self) -> Box<dyn Unit> {

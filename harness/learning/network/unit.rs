@@ -1,7 +1,7 @@
 //! What a memory is, and what it takes of each sample.
 
 use super::description::{ACTION, ENCODED, Layer, SEEN};
-use super::{Architecture, Draw, Seen, State};
+use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{DType, Result, Tensor};
 
 /// A memory: what it keeps of encoded samples, and the latent state that follows from it.
@@ -91,4 +91,24 @@ impl Inputs {
 pub(super) fn memory_of(state: &State) -> Result<&Tensor> {
     let Some(memory) = &state.memory else { candle_core::bail!("the state has no memory") };
     Ok(memory)
+}
+
+/// The memory after each sample, and the posterior that follows from it.
+pub(super) struct Steps {
+    /// `[times * batch, width]`
+    pub memory: Tensor,
+    pub posterior: Posterior,
+}
+
+impl Steps {
+    /// Returns the states of samples that are seen.
+    pub fn seen(self, draw: &mut Draw) -> Result<Seen> {
+        let (latent, divergence) = (draw.latent(&self.posterior)?, self.posterior.kl_divergence()?);
+        Ok(Seen { state: State { latent, action: None, memory: Some(self.memory) }, divergence })
+    }
+
+    /// Returns the state of a sample that is not seen.
+    pub fn unseen(self) -> Result<State> {
+        Ok(State { latent: self.posterior.mean()?, action: None, memory: Some(self.memory) })
+    }
 }

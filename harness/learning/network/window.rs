@@ -2,7 +2,7 @@
 
 use super::description::{Layer, MEMORY, Operation, POSTERIOR};
 use super::layers::{Builder, Perceptron};
-use super::unit::{Inputs, Unit, memory_of};
+use super::unit::{Inputs, Steps, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{Result, Tensor};
 
@@ -29,8 +29,7 @@ impl LastSamples {
         Ok(Self { inputs, samples, posterior })
     }
 
-    /// Returns the memory after each time, and the posteriors.
-    fn steps(&self, inputs: &Tensor, state: &State) -> Result<(Tensor, Posterior)> {
+    fn steps(&self, inputs: &Tensor, state: &State) -> Result<Steps> {
         let (memory, rows, width) = (memory_of(state)?, inputs.dim(0)?, self.inputs.width());
         // All samples in the order of time, the oldest first.
         let earlier = (1..self.samples).rev().map(|ago| memory.narrow(1, (ago - 1) * width, width));
@@ -39,7 +38,7 @@ impl LastSamples {
         let ago = |ago: usize| all.narrow(0, (self.samples - 1 - ago) * batch, rows);
         let joined = Tensor::cat(&(0..self.samples).map(ago).collect::<Result<Vec<_>>>()?, 1)?;
         let posterior = Posterior(self.posterior.forward(&joined, false)?);
-        Ok((joined.narrow(1, 0, self.width())?.contiguous()?, posterior))
+        Ok(Steps { memory: joined.narrow(1, 0, self.width())?.contiguous()?, posterior })
     }
 }
 
@@ -55,14 +54,11 @@ impl Unit for LastSamples {
         between: Option<&Tensor>,
         draw: &mut Draw,
     ) -> Result<Seen> {
-        let (memory, posterior) = self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?;
-        let state = State { latent: draw.latent(&posterior)?, action: None, memory: Some(memory) };
-        Ok(Seen { state, divergence: posterior.kl_divergence()? })
+        self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?.seen(draw)
     }
 
     fn unseen(&self, state: &State) -> Result<State> {
-        let (memory, posterior) = self.steps(&self.inputs.of(state, None, None)?, state)?;
-        Ok(State { latent: posterior.mean()?, action: None, memory: Some(memory) })
+        self.steps(&self.inputs.of(state, None, None)?, state)?.unseen()
     }
 
     fn detached(&self) -> Box<dyn Unit> {
