@@ -831,14 +831,7 @@ impl<'a> Resolver<'a> {
         for (name, factor) in self.world.file().factors.iter() {
             let (property, patterns) = factor.property();
             let path = format!("factors.{name}.{property}");
-            let kind = match property {
-                Property::JointStiffness | Property::JointDamping => JOINT,
-                Property::BodyMass | Property::Gravity => BODY,
-                Property::ActuatorStrength => ACTUATOR,
-                Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
-                Property::LightBrightness => LIGHT,
-                Property::CameraPosition | Property::CameraRotation => CAMERA,
-            };
+            let kind = kind_of(property);
             let found = self.matches(kind, patterns, &path)?;
             for (thing, id) in &found {
                 if let Some(problem) = self.unchangeable(property, *id) {
@@ -976,6 +969,18 @@ impl<'a> Resolver<'a> {
             ));
         }
         Ok(mount)
+    }
+}
+
+/// Returns the kind of the objects that have a property.
+pub(super) fn kind_of(property: Property) -> (MjtObjBase, &'static str) {
+    match property {
+        Property::JointStiffness | Property::JointDamping => JOINT,
+        Property::BodyMass | Property::Gravity => BODY,
+        Property::ActuatorStrength => ACTUATOR,
+        Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
+        Property::LightBrightness => LIGHT,
+        Property::CameraPosition | Property::CameraRotation => CAMERA,
     }
 }
 

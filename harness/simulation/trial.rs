@@ -5,7 +5,7 @@ use super::SimulationError;
 use super::factors::{FactorValues, color_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{SceneFactor, dofs};
+use super::resolve::{SceneFactor, dofs, kind_of};
 use super::scene::Scene;
 use super::standing::can_touch;
 use harness_spec::{Property, Simulation, SpecError};
@@ -203,14 +203,7 @@ impl Scene {
 
     /// Returns the names of some of a factor's objects.
     fn names(&self, factor: &SceneFactor, things: &[usize]) -> String {
-        let kind = match factor.property {
-            Property::JointStiffness | Property::JointDamping => MjtObjBase::mjOBJ_JOINT,
-            Property::BodyMass | Property::Gravity => MjtObjBase::mjOBJ_BODY,
-            Property::ActuatorStrength => MjtObjBase::mjOBJ_ACTUATOR,
-            Property::GeomFriction | Property::GeomSize | Property::GeomColour => MjtObjBase::mjOBJ_GEOM,
-            Property::LightBrightness => MjtObjBase::mjOBJ_LIGHT,
-            Property::CameraPosition | Property::CameraRotation => MjtObjBase::mjOBJ_CAMERA,
-        };
+        let (kind, _) = kind_of(factor.property);
         let name = |thing: &usize| format!("'{}'", self.model.id_to_name(kind, *thing).unwrap_or_default());
         let names: Vec<String> = things.iter().take(NAMES_SHOWN).map(name).collect();
         match things.len() - names.len() {
