@@ -1,6 +1,6 @@
 //! `harness compare` on real runs: in every format, the numbers are those of the tables.
 
-use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, ask, finish, fresh, harness, succeed};
 use crate::terminal::{plain, raw, too_wide};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,14 +16,6 @@ static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     results
 });
 
-/// The rows of a query's answer, as JSON.
-fn query(results: &Path, sql: &str) -> Vec<serde_json::Value> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("answer.json");
-    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-}
-
 /// The values of a metric for all seeds, by column of `harness compare smoke --by latent`.
 fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<String, Vec<f64>> {
     let mut values: BTreeMap<String, Vec<f64>> = BTreeMap::new();
@@ -31,7 +23,7 @@ fn values(task: &str, scenario: &str, modality: &str, metric: &str) -> BTreeMap<
         "select model, latent, value from metrics where task = '{task}' and scenario = '{scenario}' and modality = \
          '{modality}' and metric = '{metric}' and index is null and direction is null and value is not null"
     );
-    for row in query(&RESULTS, &sql) {
+    for row in ask(&RESULTS, &sql) {
         let column = match row["model"].as_str().unwrap() {
             "network" => format!("latent {}", row["latent"]),
             baseline => baseline.replace('_', " "),
@@ -204,7 +196,7 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
         succeed(&results, &[&arguments[..], more].concat())
     };
     let values = |runs: &str| {
-        let rows = query(
+        let rows = ask(
             &results,
             &format!(
                 "select modality, value from metrics where run in ({runs}) and task = 'prediction' and model = \
@@ -233,7 +225,7 @@ fn runs_that_differ_in_more_than_their_seed_are_never_averaged() {
                join runs using (experiment, run) where task = 'prediction' and model = 'network' and metric = 'r2' \
                and index is null and direction is null and modality = 'contact_force' \
                group by group_hash order by runs desc, value";
-    let groups = query(&results, sql);
+    let groups = ask(&results, sql);
     let mut by_hand: Vec<(usize, f64)> = [(64, 2), (16, 2), (16, 5)]
         .map(|(batch, epochs)| {
             let [_, forces] = values(&run_of(batch, epochs));
@@ -404,7 +396,7 @@ fn variants_are_in_the_order_of_the_spec() {
 fn by_variant(results: &Path) -> BTreeMap<String, f64> {
     let sql = "select variant, avg(value) as value from metrics where model = 'network' and metric = 'r2' and index is \
                null and direction is null group by variant";
-    let rows = query(results, sql);
+    let rows = ask(results, sql);
     rows.iter()
         .map(|row| (row["variant"].as_str().unwrap().to_owned(), row["value"].as_f64().unwrap()))
         .collect()
@@ -568,7 +560,7 @@ fn differences_from_a_column_are_those_of_runs_with_the_same_dataset_and_seed() 
     let sql = "select run, latent, value from metrics where metric = 'rmse' and modality = 'contact_force' and model = \
                'network' and index is null and direction is null";
     let mut values: BTreeMap<String, [Option<f64>; 2]> = BTreeMap::new();
-    for row in query(&results, sql) {
+    for row in ask(&results, sql) {
         let (latent, run) = (row["latent"].as_u64().unwrap(), row["run"].as_str().unwrap());
         // empty-z4-data1-seed0-07b35321: what is between the latent size and the hash names dataset and seed.
         let (seeds, _hash) = run.split_once(&format!("z{latent}")).unwrap().1.rsplit_once('-').unwrap();

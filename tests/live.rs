@@ -1,6 +1,6 @@
 //! What is shown of trainings that are running: their epochs in the tables, and `harness watch`.
 
-use crate::common::{PATIENCE, SMOKE, finish, fresh, harness, succeed};
+use crate::common::{PATIENCE, SMOKE, ask, finish, fresh, harness, succeed};
 use crate::interruption::signal;
 use crate::terminal::{plain, raw, raw_while, too_wide};
 use std::io::{BufRead, BufReader};
@@ -25,14 +25,6 @@ impl Drop for Running {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
-}
-
-/// The rows of a query's answer.
-fn ask(results: &Path, sql: &str) -> Vec<serde_json::Value> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("answer.json");
-    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
 /// The epochs in the table, in order. Each must be there once for each split and term, from the first to the last.

@@ -231,11 +231,7 @@ fn the_best_runs_and_what_they_beat_are_those_of_the_tables() {
     let folder = tempfile::tempdir().unwrap();
     let results = folder.path().join("results");
     let said = crate::common::succeed(&results, &["run", crate::common::SMOKE, "seeds=[0,1]"]);
-    let ask = |sql: &str| -> Vec<serde_json::Value> {
-        let path = folder.path().join("answer.json");
-        crate::common::succeed(&results, &["query", sql, "--output", path.to_str().unwrap()]);
-        serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-    };
+    let ask = |sql: &str| crate::common::ask(&results, sql);
     // For each run, the epoch with the lowest weighted sum, and there the plain mean of the outputs' errors.
     let epochs =
         ask("select run, epoch, term, value from epochs where task = 'prediction' and split = 'validation'");

@@ -1,6 +1,6 @@
 //! The value of a sense: in a world with a known answer, the commands of docs/value-of-a-sense.md find it.
 
-use crate::common::{fresh, succeed};
+use crate::common::{ask, fresh, succeed};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -16,12 +16,9 @@ fn file(name: &str) -> &'static str {
 
 /// The values of a query's only number, by its only text.
 fn numbers(results: &Path, sql: &str) -> BTreeMap<String, f64> {
-    let path = results.join("answer.json");
-    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
-    let rows: Vec<serde_json::Value> = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
     let number =
         |row: &serde_json::Value| (row["key"].as_str().unwrap().to_owned(), row["value"].as_f64().unwrap());
-    rows.iter().map(number).collect()
+    ask(results, sql).iter().map(number).collect()
 }
 
 #[test]

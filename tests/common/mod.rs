@@ -60,6 +60,14 @@ pub fn succeed(results: &Path, arguments: &[&str]) -> String {
     answer.stdout
 }
 
+/// The rows of a query's answer.
+pub fn ask(results: &Path, sql: &str) -> Vec<serde_json::Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("answer.json");
+    succeed(results, &["query", sql, "--output", path.to_str().unwrap()]);
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
 /// The path of a folder that does not exist yet, inside cargo's folder for the files of tests.
 pub fn fresh(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
