@@ -1,14 +1,13 @@
 //! The runs that an experiment expands to.
 
-use super::modality::{Layout, Modality};
 use super::origin::Origin;
 use super::overrides;
 use super::run::{Model, RunSpec, Trained};
-use super::scaling::{GivenScaling, Scaling, Scalings};
 use super::search::Trial;
 use super::simulation::Simulation;
 use super::types::{Experiment, Reading, Task, Training};
 use super::world::{Known, World};
+use harness_layout::{GivenScaling, Layout, Modality, Scaling, Scalings};
 use harness_yaml::{Entry, Node, Place};
 use serde_json::Value as Json;
 use std::borrow::Cow;

@@ -1,7 +1,7 @@
 //! What the schemas of specs and worlds can't say.
 
-use super::modality::Modality;
 use super::origin::Origin;
+use harness_layout::Modality;
 use harness_yaml::{Entry, Hints, shorten};
 use serde_json::Value as Json;
 

@@ -8,17 +8,13 @@
 mod ablation;
 mod built_in;
 mod cells;
-mod episode;
 mod error;
 mod factor;
 mod hints;
-mod modality;
-mod name;
 mod narrow;
 mod origin;
 mod overrides;
 mod run;
-mod scaling;
 mod schema;
 mod search;
 mod simulation;
@@ -29,15 +25,14 @@ mod values;
 mod world;
 
 pub use built_in::{BuiltIn, SPECS, YamlFile, find};
-pub use episode::{Episode, Pose};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
-pub use harness_yaml::is_name;
-pub use modality::*;
-pub use name::intern;
+pub use harness_layout::{
+    Definition, Element, Episode, GivenScaling, GivenScalings, Group, IMAGE_CHANNELS, Kind, Layout, Modality,
+    NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings, intern, is_name,
+};
 pub use origin::{Origin, Scenario};
 pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};
-pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings};
 pub use schema::{schema, setting_names, varied_setting};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};

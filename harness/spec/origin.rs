@@ -1,7 +1,6 @@
 //! The sources of samples: simulated worlds, by the names of their scenarios, and imported datasets.
 
-use super::name::interned_name;
-use harness_yaml::is_name;
+use harness_layout::{interned_name, is_name};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::Path;

@@ -1,11 +1,10 @@
 //! The spec of one run: everything that its result depends on, and nothing else.
 
-use super::modality::{Layout, Modality, Scale};
 use super::origin::Origin;
-use super::scaling::{Scaling, Scalings};
 use super::simulation::Simulation;
 use super::types::{Action, Loss, Network, Split, Task, Training, Window};
 use super::validate::{Images, check_images};
+use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};

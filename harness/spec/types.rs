@@ -1,13 +1,11 @@
 //! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
 //! and the checks of a spec are generated from these attributes.
 
-use super::modality::{Layout, Modality, by_modality};
-use super::name::names;
 use super::origin::Origin;
-use super::scaling::GivenScalings;
 use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::world::World;
+use harness_layout::{GivenScalings, Layout, Modality, by_modality, names, scalings_schema};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -222,7 +220,7 @@ pub struct Experiment {
     pub split: Split,
     /// How each modality is scaled for the network, and the lower bound of its predictions in physical units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    #[schemars(schema_with = "super::scaling::schema")]
+    #[schemars(schema_with = "scalings_schema")]
     pub scaling: GivenScalings,
     /// Settings of training.
     #[serde(default)]

@@ -1,6 +1,5 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
-use super::modality::{Modality, Scale};
 use super::origin::Origin;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
@@ -9,6 +8,7 @@ use super::types::{
     Training, WindowStart,
 };
 use super::world::World;
+use harness_layout::{Modality, Scale};
 use harness_yaml::{is_name, shorten, unknown};
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.

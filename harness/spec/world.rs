@@ -3,12 +3,11 @@
 use super::error::SpecError;
 use super::factor::Factor;
 use super::hints::HINTS;
-use super::modality::{CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale};
 use super::origin::Scenario;
-use super::scaling::Scaling;
 use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
 use super::values::{ascending, globs};
+use harness_layout::{CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling};
 use harness_yaml::{
     NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
     unknown,

@@ -58,7 +58,7 @@ impl Scaling {
 }
 
 /// The JSON schema of [`GivenScalings`]: one section for each modality, with the keys of [`GivenScaling`].
-pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
+pub fn scalings_schema(generator: &mut SchemaGenerator) -> Schema {
     let scale = generator.subschema_for::<Scale>();
     let minimum = json_schema!({
         "description": "The lowest value of a prediction, in physical units. `null` means no bound.",

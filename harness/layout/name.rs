@@ -17,12 +17,13 @@ pub fn intern(name: &str) -> &'static str {
 
 /// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first`
 /// come first, and all others follow in alphabetical order.
+#[macro_export]
 macro_rules! interned_name {
     ($type:ident, first: $first:ident, refused: $refused:literal) => {
         impl $type {
             /// Creates the value with this name; `None` if the name is not valid.
             pub fn new(name: &str) -> Option<Self> {
-                harness_yaml::is_name(name).then(|| Self($crate::intern(name)))
+                $crate::is_name(name).then(|| Self($crate::intern(name)))
             }
 
             /// Returns the name in specs, tables and file names.
@@ -68,9 +69,9 @@ macro_rules! interned_name {
         }
     };
 }
-pub(super) use interned_name;
 
 /// Implements the list of values and their names for an enum. A test checks that the names equal those of serde.
+#[macro_export]
 macro_rules! names {
     ($type:ident { $($variant:ident => $name:literal),+ $(,)? }) => {
         impl $type {
@@ -90,4 +91,3 @@ macro_rules! names {
         }
     };
 }
-pub(super) use names;

@@ -1,6 +1,6 @@
 //! Modalities: their names, which specs and tables use, and their definitions, which a dataset stores.
 
-use super::name::{interned_name, names};
+use super::{intern, interned_name, names};
 use harness_yaml::NAME;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use std::ops::Index;
 use std::sync::{Arc, LazyLock};
 
 /// What the name of a force's contact kinds adds to the name of the force.
-pub(super) const CONTACT_KIND: &str = "_kind";
+pub const CONTACT_KIND: &str = "_kind";
 
 /// The region of a force's elements without a contact.
 pub const NO_CONTACT: &str = "none";
@@ -53,7 +53,7 @@ impl Modality {
     ];
 
     /// Names that a modality can't have, because columns, loss terms or saved networks use them for something else.
-    pub(super) const RESERVED: [&str; 10] =
+    pub const RESERVED: [&str; 10] =
         ["dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total"];
 }
 
@@ -276,7 +276,7 @@ impl Definition {
     /// Returns the modality that tells the kind of contact of each element: 0 without a contact, k for the contact kind
     /// k - 1, and the number after the last kind for any other contact. `None` without kinds.
     pub fn contact_kind(&self) -> Option<Modality> {
-        let name = || Modality(crate::intern(&format!("{}{CONTACT_KIND}", self.name)));
+        let name = || Modality(intern(&format!("{}{CONTACT_KIND}", self.name)));
         (!self.contact_kinds.is_empty()).then(name)
     }
 
@@ -398,7 +398,7 @@ impl Index<Modality> for Layout {
 
 /// The schema of a section with a value for each modality. It lists the modalities of the built-in worlds, which
 /// editors complete, and allows all others.
-pub(super) fn by_modality(value: Schema) -> Schema {
+pub fn by_modality(value: Schema) -> Schema {
     let value = value.to_value();
     let properties: serde_json::Map<_, _> =
         Modality::BUILT_IN.iter().map(|modality| (modality.name().to_owned(), value.clone())).collect();
