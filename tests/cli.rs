@@ -134,6 +134,33 @@ fn a_dry_run_says_what_would_be_done_and_why_and_does_nothing() {
     assert!(!nowhere.exists());
 }
 
+/// The runs of a dry run, without their hashes.
+fn planned(more: &[&str]) -> Vec<String> {
+    let plan = succeed(&RESULTS, &[&["run", SMOKE, "--dry-run", "latent=[4,5]"][..], more].concat());
+    let decisions = plan.lines().filter(|line| line.starts_with("run ") || line.starts_with("skip "));
+    let id = |line: &str| line.split_whitespace().nth(1).unwrap().rsplit_once('-').unwrap().0.to_owned();
+    decisions.map(id).collect()
+}
+
+#[test]
+fn run_does_the_runs_that_have_the_chosen_settings() {
+    let all = ["empty-z4-seed0", "empty-z5-seed0", "cluttered-z4-seed0", "cluttered-z5-seed0"];
+    assert_eq!(planned(&[]), all);
+    assert_eq!(planned(&["--where", "scenario=empty"]), all[..2]);
+    assert_eq!(planned(&["--where", "scenario=empty", "--where", "latent=5"]), all[1..2]);
+    assert_eq!(planned(&["--where", "latent=4", "--where", "latent=5"]), all);
+
+    let refused = |spec: &str, setting: &str| {
+        finish(&mut harness(&RESULTS, &["run", spec, "--dry-run", "--where", setting])).stderr
+    };
+    assert_eq!(
+        refused(SMOKE, "scenario=emty"),
+        "error: no planned run has scenario=emty; planned runs have scenario (cluttered, empty)\n"
+    );
+    assert_eq!(refused(SMOKE, "latnt=4"), "error: no run has a setting 'latnt'; did you mean 'latent'?\n");
+    assert!(refused("experiments/search.yaml", "latent=4").contains("trials of a search"));
+}
+
 /// The layers of the smoke run, calculated by hand: 4 x 4 kernels from 3 to 4 channels and back, 16 hidden units,
 /// 20 joints and 20 links, a latent state of 4, an action of 3.
 const LAYERS: [(&str, &str, usize); 11] = [

@@ -34,7 +34,7 @@ pub use subset::Subset;
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
 use harness_registry::{Recorded, Registry, RunRecord, Status, forces_of, quoted};
 use harness_shared::nearest;
-use harness_spec::{Origin, QUICK};
+use harness_spec::{Layout, Origin, QUICK, RunSpec};
 use harness_sql::{Condition, Query, implies};
 use harness_tables::lazily;
 use harness_tables::schema::Table;
@@ -98,12 +98,14 @@ pub enum AnalysisError {
         /// The key that was probably meant.
         nearest: Option<String>,
     },
-    /// No finished run has the requested value of a setting.
-    #[error("no finished run has {setting}; finished runs have {there}")]
+    /// No run has the requested value of a setting.
+    #[error("no {run} has {setting}; {run}s have {there}")]
     UnknownValue {
+        /// What the runs are: finished or planned ones.
+        run: &'static str,
         /// The requested setting.
         setting: Setting,
-        /// The values that finished runs have.
+        /// The values that the runs have.
         there: Box<Difference>,
     },
     /// The runs of an experiment differ in settings that must be equal.
@@ -241,7 +243,8 @@ impl Analysis {
             Run { record, folder, settings }
         });
         let done: Vec<Run> = with_settings.collect();
-        check_settings(&selection.settings, &done)?;
+        let finished: Vec<_> = done.iter().map(|run| (run.record.experiment.as_str(), &*run.settings)).collect();
+        check_settings(&selection.settings, &finished, "finished run")?;
         let has_settings =
             |run: &Run| settings::meets(&selection.settings, &run.record.experiment, &run.settings);
         let (counted, notes) = newest(done.into_iter().filter(has_settings).collect());
@@ -620,27 +623,47 @@ fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> St
     differences.filter(is_own).map(value).collect::<Vec<_>>().join(", ")
 }
 
-/// Checks that some run has each of these settings.
-fn check_settings(wanted: &[Setting], runs: &[Run]) -> Result<(), AnalysisError> {
+/// Checks that some run has each of these settings. A run is an experiment's name and settings, and `kind` says what
+/// the runs are.
+fn check_settings(
+    wanted: &[Setting],
+    runs: &[(&str, &Settings)],
+    kind: &'static str,
+) -> Result<(), AnalysisError> {
     for setting in wanted.iter().filter(|_| !runs.is_empty()) {
-        let about = || runs.iter().filter(|run| setting.is_about(&run.record.experiment));
+        let about = || runs.iter().filter(|(experiment, _)| setting.is_about(experiment)).map(|run| run.1);
         if let Some(wanted) = setting.experiment.as_ref().filter(|_| about().next().is_none()) {
-            let there: BTreeSet<String> = runs.iter().map(|run| run.record.experiment.clone()).collect();
+            let there: BTreeSet<String> = runs.iter().map(|(experiment, _)| (*experiment).to_owned()).collect();
             let there = there.into_iter().collect();
             return Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there });
         }
-        let keys: BTreeSet<&str> = about().flat_map(|run| run.settings.keys()).map(String::as_str).collect();
+        let keys: BTreeSet<&str> = about().flat_map(Settings::keys).map(String::as_str).collect();
         if !keys.contains(setting.key.as_str()) {
             let keys: Vec<&str> = keys.into_iter().collect();
             let nearest = nearest(&setting.key, &keys).map(str::to_owned);
             return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });
         }
-        if !about().any(|run| setting.is_met_by(&run.settings)) {
-            let there = Box::new(Difference::of(&setting.key, about().map(|run| run.settings.as_ref())));
-            return Err(AnalysisError::UnknownValue { setting: setting.clone(), there });
+        if !about().any(|run| setting.is_met_by(run)) {
+            let there = Box::new(Difference::of(&setting.key, about()));
+            return Err(AnalysisError::UnknownValue { run: kind, setting: setting.clone(), there });
         }
     }
     Ok(())
+}
+
+/// Returns for each planned run of an experiment whether it has the requested settings.
+///
+/// # Errors
+/// When no run has one of the settings, or its value.
+pub fn planned(
+    experiment: &str,
+    runs: &[(&RunSpec, &Layout)],
+    wanted: &[Setting],
+) -> Result<Vec<bool>, AnalysisError> {
+    let runs: Vec<Settings> = runs.iter().map(|(spec, layout)| settings::of_spec(spec, layout)).collect();
+    let named: Vec<_> = runs.iter().map(|run| (experiment, run)).collect();
+    check_settings(wanted, &named, "planned run")?;
+    Ok(runs.iter().map(|run| settings::meets(wanted, experiment, run)).collect())
 }
 
 /// The runs that the newest revision made, without repetitions, and messages about the runs that are left out.

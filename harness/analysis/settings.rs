@@ -1,7 +1,7 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
 use harness_registry::{RunRecord, leaves, quoted};
-use harness_spec::setting_value;
+use harness_spec::{Layout, RunSpec, setting_value};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -33,16 +33,21 @@ const UNSET: &str = "unset";
 /// The settings of a run: texts by dotted keys, such as `64` for `training.batch_size`.
 pub(super) type Settings = BTreeMap<String, String>;
 
-/// All settings of a run, also the defaults that its record does not store. Those that have no effect without images
-/// are left out of a run without images.
+/// All settings of a run, also the defaults that its record does not store.
 pub(super) fn of(record: &RunRecord) -> Settings {
-    let mut settings = Settings::from([(DATASET.to_owned(), record.dataset.clone())]);
+    let mut settings = of_spec(&record.spec, &record.layout);
+    settings.insert(DATASET.to_owned(), record.dataset.clone());
     if let Some(revision) = record.revision() {
         settings.insert(REVISION.to_owned(), revision.to_string());
     }
-    settings.extend(texts(&record.spec.complete(&record.layout)));
-    let is_image = |modality| record.layout.get(modality).is_none_or(|definition| definition.is_image());
-    if !record.spec.modalities().into_iter().any(is_image) {
+    settings
+}
+
+/// All settings of a run's spec. Those that have no effect without images are left out of a run without images.
+pub(super) fn of_spec(spec: &RunSpec, layout: &Layout) -> Settings {
+    let mut settings: Settings = texts(&spec.complete(layout)).collect();
+    let is_image = |modality| layout.get(modality).is_none_or(|definition| definition.is_image());
+    if !spec.modalities().into_iter().any(is_image) {
         OF_IMAGES.iter().for_each(|key| drop(settings.remove(*key)));
     }
     settings

@@ -97,6 +97,7 @@ enum Command {
   harness run smoke
   harness run smoke training.epochs=3 'latent=[8,16]'
   harness run multi_to_multi --quick --dry-run    only print what would be done
+  harness run senses --where scenario=cluttered   only the runs with this setting
 
 An experiment has a run for each scenario, latent size and seed. A run trains a network on simulated episodes, \
 compares its predictions on test episodes with those of baselines, and writes tables to the results folder. The \

@@ -5,8 +5,9 @@ use super::results::{self, Best, Comparison, Metrics};
 use super::sheet::Style;
 use super::table::{print_beside, print_command, print_text, shown, width};
 use super::{DONE, FAILED, interrupt, layers, output, search};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
+use harness::analysis::{self, Setting};
 use harness::collection::{check_missing, collect, collect_share, dataset_of};
 use harness::dataset::Dataset;
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
@@ -70,6 +71,10 @@ pub struct Run {
     /// memory]
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<u64>,
+    /// Do only the runs with this setting, for example variant=role=oracle; may be given several times. Several values
+    /// of one setting are alternatives
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    settings: Vec<Setting>,
     #[command(flatten)]
     share: Share,
     /// Skip runs that other processes work on, instead of waiting for them
@@ -126,7 +131,7 @@ impl Run {
             memory: self.memory,
             ..Runner::new(registry, threads, &provenance, &bars)
         };
-        let plan = runner.plan(&experiment)?;
+        let plan = self.chosen(&experiment, runner.plan(&experiment)?)?;
         let is_own = |index: usize| self.share.shard.is_none_or(|shard| shard.contains(index));
         let own =
             |plan: &[Planned]| -> Vec<usize> { (0..plan.len()).filter(|index| is_own(*index)).collect() };
@@ -156,6 +161,24 @@ impl Run {
         search::print_commands(registry, &experiment, &trials, &self.spec.words());
         warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
+    }
+
+    /// Leaves out of a plan the runs that do not have the settings of `--where`.
+    fn chosen(&self, experiment: &Experiment, plan: Vec<Planned>) -> Result<Vec<Planned>> {
+        if self.settings.is_empty() {
+            return Ok(plan);
+        }
+        if experiment.search.is_some() {
+            bail!("--where can't choose trials of a search, which are compared with each other; use --shard");
+        }
+        let runs: Vec<_> = plan.iter().map(|planned| (&planned.spec, &**planned.layout())).collect();
+        let chosen = analysis::planned(&experiment.name, &runs, &self.settings)?;
+        let plan: Vec<Planned> =
+            plan.into_iter().zip(chosen).filter_map(|(planned, is_chosen)| is_chosen.then_some(planned)).collect();
+        if plan.is_empty() {
+            bail!("no run has all of these settings; --dry-run without --where lists the runs");
+        }
+        Ok(plan)
     }
 }
 
