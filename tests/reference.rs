@@ -1,6 +1,6 @@
 //! The published results of the repository: intact, and enough for every figure, claim and query in the documents.
 
-use crate::common::succeed;
+use crate::common::{ask, succeed};
 use harness::figures::Figure;
 use std::path::{Path, PathBuf};
 
@@ -110,4 +110,46 @@ fn queries_in_the_experiments_have_answers() {
         }
     }
     assert!(queries >= 2);
+}
+
+/// The commands in the head comments of `experiments/*.yaml`, without the queries, which are run above.
+#[test]
+fn commands_in_the_experiments_are_understood() {
+    let mut commands = 0;
+    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments")).unwrap() {
+        let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+        for line in text.lines().filter_map(|line| line.strip_prefix('#')) {
+            let line = line.trim_start().trim_start_matches("Command:").trim_start();
+            let Some(command) = line.strip_prefix("harness ") else { continue };
+            if command.starts_with("query") {
+                continue;
+            }
+            let command = command.split("  ").next().unwrap();
+            // With --help, the program only reads the arguments before it.
+            let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
+            succeed(&reference(), &words);
+            commands += 1;
+        }
+    }
+    assert!(commands > 20, "{commands}");
+}
+
+/// The runs of these experiments are older than the rule that published runs come from commits.
+#[test]
+fn published_runs_come_from_commits() {
+    let sql = "select distinct experiment from runs where git_dirty or git_commit is null order by experiment";
+    let rows = ask(&reference(), sql);
+    let names: Vec<&str> = rows.iter().map(|row| row["experiment"].as_str().unwrap()).collect();
+    assert_eq!(names, ["arm_and_vision", "choose_multi_losses", "multi_to_multi", "vision_assumptions"]);
+}
+
+/// A validation error of 1 is that of the mean, or of no change for an image. `multi_to_multi` keeps networks that
+/// stopped early, which docs/results.md names.
+#[test]
+fn published_networks_have_learned_each_output() {
+    let sql = "select experiment, run, task, term, min(value) as least from epochs where split = 'validation' and term \
+               not in ('total', 'kl') and experiment in ('senses', 'paper', 'single_to_multi', 'single_to_multi_best', \
+               'multi_to_multi_best', 'multi_to_multi_400k') group by all having min(value) > 0.9";
+    let rows = ask(&reference(), sql);
+    assert!(rows.is_empty(), "{rows:#?}");
 }
