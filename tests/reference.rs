@@ -137,7 +137,8 @@ fn commands_in_the_experiments_are_understood() {
 /// The runs of these experiments are older than the rule that published runs come from commits.
 #[test]
 fn published_runs_come_from_commits() {
-    let sql = "select distinct experiment from runs where git_dirty or git_commit is null order by experiment";
+    let sql =
+        "select distinct experiment from runs where git_dirty or git_commit is null order by experiment";
     let rows = ask(&reference(), sql);
     let names: Vec<&str> = rows.iter().map(|row| row["experiment"].as_str().unwrap()).collect();
     assert_eq!(names, ["arm_and_vision", "choose_multi_losses", "multi_to_multi", "vision_assumptions"]);

@@ -243,7 +243,8 @@ impl Analysis {
             Run { record, folder, settings }
         });
         let done: Vec<Run> = with_settings.collect();
-        let finished: Vec<_> = done.iter().map(|run| (run.record.experiment.as_str(), &*run.settings)).collect();
+        let finished: Vec<_> =
+            done.iter().map(|run| (run.record.experiment.as_str(), &*run.settings)).collect();
         check_settings(&selection.settings, &finished, "finished run")?;
         let has_settings =
             |run: &Run| settings::meets(&selection.settings, &run.record.experiment, &run.settings);
@@ -633,7 +634,8 @@ fn check_settings(
     for setting in wanted.iter().filter(|_| !runs.is_empty()) {
         let about = || runs.iter().filter(|(experiment, _)| setting.is_about(experiment)).map(|run| run.1);
         if let Some(wanted) = setting.experiment.as_ref().filter(|_| about().next().is_none()) {
-            let there: BTreeSet<String> = runs.iter().map(|(experiment, _)| (*experiment).to_owned()).collect();
+            let there: BTreeSet<String> =
+                runs.iter().map(|(experiment, _)| (*experiment).to_owned()).collect();
             let there = there.into_iter().collect();
             return Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there });
         }

@@ -173,8 +173,11 @@ impl Run {
         }
         let runs: Vec<_> = plan.iter().map(|planned| (&planned.spec, &**planned.layout())).collect();
         let chosen = analysis::planned(&experiment.name, &runs, &self.settings)?;
-        let plan: Vec<Planned> =
-            plan.into_iter().zip(chosen).filter_map(|(planned, is_chosen)| is_chosen.then_some(planned)).collect();
+        let plan: Vec<Planned> = plan
+            .into_iter()
+            .zip(chosen)
+            .filter_map(|(planned, is_chosen)| is_chosen.then_some(planned))
+            .collect();
         if plan.is_empty() {
             bail!("no run has all of these settings; --dry-run without --where lists the runs");
         }
