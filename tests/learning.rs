@@ -673,7 +673,6 @@ struct Bench {
     data: NormalizedData,
     partition: Partition,
     training: Training,
-    weights: BTreeMap<Modality, f64>,
     network: Network,
 }
 
@@ -692,9 +691,10 @@ impl Bench {
             action: Action::Increment,
             device: Device::Cpu,
         };
-        let training = Training { batch_size: 8, epochs: 4, patience: None, ..Training::default() };
-        let weights = BTreeMap::from([(Modality::CONTACT_FORCE, 2.0)]);
-        Self { data, partition, training, weights, network: network(8, 2) }
+        let loss_weights = BTreeMap::from([(Modality::CONTACT_FORCE, 2.0)]);
+        let training =
+            Training { batch_size: 8, epochs: 4, patience: None, loss_weights, ..Training::default() };
+        Self { data, partition, training, network: network(8, 2) }
     }
 
     /// A network with several convolutions and hidden layers, and separate encoders for frames and vectors.
@@ -758,12 +758,9 @@ impl Bench {
             data: &self.data,
             network: architecture.network(&mut parameters, &mut random, &Device::Cpu)?,
             window: Window::TRANSITION,
-            rollout_stride: 1,
             input: &INPUT,
             output: &OUTPUT,
-            kl_weight: self.training.kl_weight,
-            losses: &self.training.losses,
-            loss_weights: &self.weights,
+            training: &self.training,
         };
         let partition = &self.partition;
         let fit = Fit {

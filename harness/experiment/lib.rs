@@ -512,19 +512,15 @@ impl TrainingRun<'_> {
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let Trained { training, .. } = self.trained;
         let architecture = architecture(spec, self.trained, data.samples.layout(), task);
         let network = architecture.network(&mut parameters, &mut random, &data.device);
         let objective = Prediction {
             data,
             network: network.map_err(LearningError::from)?,
             window: spec.window,
-            rollout_stride: training.rollout_stride,
             input: &spec.input,
             output: &spec.output,
-            kl_weight: training.kl_weight,
-            losses: &training.losses,
-            loss_weights: &training.loss_weights,
+            training: &self.trained.training,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();

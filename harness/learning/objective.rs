@@ -5,7 +5,7 @@ use super::network::{Decoder, Draw, Network, Seen, Targets, Term, context, mean}
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
-use harness_spec::{Loss, Modality, Window};
+use harness_spec::{Modality, Training, Window};
 use std::collections::BTreeMap;
 
 /// The name of the Kullback-Leibler divergence among the terms of a loss.
@@ -54,23 +54,17 @@ pub struct Prediction<'a> {
     pub network: Box<dyn Network>,
     /// How many samples the network sees and predicts.
     pub window: Window,
-    /// Number of samples of which one, drawn in each step, is the start of a prediction further than the next sample.
-    pub rollout_stride: usize,
     /// Modalities that the network sees.
     pub input: &'a [Modality],
     /// Modalities that the network predicts.
     pub output: &'a [Modality],
-    /// Weight of the KL divergence.
-    pub kl_weight: f64,
-    /// Loss of each vector modality. Modalities that are not listed use the squared error.
-    pub losses: &'a BTreeMap<Modality, Loss>,
-    /// Weight of each modality's loss; 1 for modalities that are not listed.
-    pub loss_weights: &'a BTreeMap<Modality, f64>,
+    /// Which samples are predicted further than the next one, and the losses with their weights.
+    pub training: &'a Training,
 }
 
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
-        let Self { data, network, window, .. } = self;
+        let Self { data, network, window, training, .. } = self;
         // The samples of all windows at one time lie together, and those at the first time come first.
         let mut seen: Vec<Sample> =
             (0..self.context()).rev().flat_map(|distance| before(at, distance)).collect();
@@ -82,7 +76,7 @@ impl Objective for Prediction<'_> {
         let mut losses = Vec::new();
         for distance in 1..=window.horizon {
             if distance == 2
-                && let Some(rows) = draw.one_of_each(self.rollout_stride, seen.len())
+                && let Some(rows) = draw.one_of_each(training.rollout_stride, seen.len())
             {
                 state = state.rows(&rows)?;
                 seen = rows.iter().map(|row| seen[*row as usize]).collect();
@@ -91,10 +85,10 @@ impl Objective for Prediction<'_> {
                 state = network.act(&state, &data.actions(&after(&seen, distance - 1))?)?;
             }
             let values = data.observation(&after(&seen, distance), self.output)?;
-            losses.push(network.losses(&state, Targets { values: &values, losses: self.losses })?);
+            losses.push(network.losses(&state, Targets { values: &values, losses: &training.losses })?);
         }
-        let mut terms = weighted(means(losses)?, self.loss_weights);
-        terms.push(Weighted { name: KL.into(), weight: self.kl_weight, value: divergence });
+        let mut terms = weighted(means(losses)?, &training.loss_weights);
+        terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });
         Ok(terms)
     }
 
@@ -103,7 +97,7 @@ impl Objective for Prediction<'_> {
     }
 
     fn predicted(&self) -> usize {
-        let further = (self.context() * (self.window.horizon - 1)).div_ceil(self.rollout_stride);
+        let further = (self.context() * (self.window.horizon - 1)).div_ceil(self.training.rollout_stride);
         self.context() + further
     }
 

@@ -59,12 +59,9 @@ fn fitted(
         data: &bench.data,
         network,
         window,
-        rollout_stride: 1,
         input,
         output,
-        kl_weight: 0.0001,
-        losses: &training.losses,
-        loss_weights: &BTreeMap::new(),
+        training: &training,
     };
     let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
     let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);

@@ -39,21 +39,14 @@ fn objective<'a>(
     bench: &'a Bench,
     network: Box<dyn Predicting>,
     window: Window,
-    losses: &'a BTreeMap<Modality, Loss>,
-    weights: &'a BTreeMap<Modality, f64>,
+    training: &'a Training,
 ) -> Prediction<'a> {
-    let data = &bench.data;
-    Prediction {
-        data,
-        network,
-        window,
-        rollout_stride: 1,
-        input: &ANGLES,
-        output: &ARM,
-        kl_weight: 0.01,
-        losses,
-        loss_weights: weights,
-    }
+    Prediction { data: &bench.data, network, window, input: &ANGLES, output: &ARM, training }
+}
+
+/// Settings of a loss of which the divergence is a larger part than by default.
+fn settings() -> Training {
+    Training { kl_weight: 0.01, ..Training::default() }
 }
 
 #[test]
@@ -152,8 +145,8 @@ fn assert_gradients_through_time(memory: Memory) {
     let (bench, architecture) = bench(memory);
     let (network, parameters) = built(&architecture);
     let window = Window { context: 6, horizon: 4, ..Window::TRANSITION };
-    let (losses, weights) = (BTreeMap::new(), BTreeMap::new());
-    let objective = objective(&bench, network, window, &losses, &weights);
+    let training = settings();
+    let objective = objective(&bench, network, window, &training);
     let at = [Sample::at(6), Sample::at(24)];
     let total = || {
         let terms = objective.terms(&at, Draw::Mean).unwrap();
@@ -201,13 +194,12 @@ fn rollouts_start_at_one_of_each_few_samples() {
 #[test]
 fn few_rollouts_have_the_loss_of_all_on_average() {
     let (bench, architecture) = bench(Memory::Gru);
-    let (losses, weights) = (BTreeMap::new(), BTreeMap::new());
     let window = Window { context: 6, horizon: 4, ..Window::TRANSITION };
     let at = [Sample::at(6), Sample::at(8), Sample::at(24)];
     let mean = |rollout_stride| {
         let (network, _) = built(&architecture);
-        let objective =
-            Prediction { rollout_stride, ..objective(&bench, network, window, &losses, &weights) };
+        let training = Training { rollout_stride, ..settings() };
+        let objective = objective(&bench, network, window, &training);
         assert_eq!(objective.predicted(), if rollout_stride == 1 { 24 } else { 6 + 5 });
         let mut random = random(5);
         let mut loss = || {
@@ -305,12 +297,9 @@ fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
         learning_rate: 5e-3,
         patience: None,
         batch_size: 128,
-        kl_weight: 1e-4,
         ..Training::default()
     };
-    let weights = BTreeMap::new();
-    let objective =
-        Prediction { kl_weight: 1e-4, ..objective(&bench, network, window, &training.losses, &weights) };
+    let objective = objective(&bench, network, window, &training);
     let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
     let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);
     let task = Task::Prediction;
