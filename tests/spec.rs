@@ -200,8 +200,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
-             rollout_stride, epochs, last_epoch, patience, stop, kl_weight, losses, loss_weights, dropout, \
-             precision, tiles, device",
+             rollout_stride, discount, epochs, last_epoch, patience, stop, kl_weight, losses, loss_weights, \
+             dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -1500,6 +1500,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             clip_norm: *[None, Some(0.5), Some(10.0)].choose(random).unwrap(),
             batch_size: random.random_range(1..=4096),
             rollout_stride: *[1, 10].choose(random).unwrap(),
+            discount: *[1.0, 0.7].choose(random).unwrap(),
             epochs: random.random_range(2..=1000),
             last_epoch: if random.random() { None } else { Some(1) },
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },

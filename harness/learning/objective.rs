@@ -44,7 +44,7 @@ pub trait Objective {
 }
 
 /// Predicts the next samples of each that the network has seen, as many as the window's horizon. The terms are the mean
-/// loss of each output modality and the weighted KL divergence.
+/// loss of each output modality, in which further samples may weigh less, and the weighted KL divergence.
 ///
 /// A network without memory sees only the present sample, however long the context is.
 pub struct Prediction<'a> {
@@ -87,7 +87,7 @@ impl Objective for Prediction<'_> {
             let values = data.observation(&after(&seen, distance), self.output)?;
             losses.push(network.losses(&state, Targets { values: &values, losses: &training.losses })?);
         }
-        let mut terms = weighted(means(losses)?, &training.loss_weights);
+        let mut terms = weighted(means(losses, training.discount)?, &training.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });
         Ok(terms)
     }
@@ -106,14 +106,26 @@ impl Objective for Prediction<'_> {
     }
 }
 
-/// Returns the mean loss of each modality over several distances.
-fn means(mut losses: Vec<Vec<Term>>) -> Result<Vec<Term>> {
-    let Some(first) = losses.pop() else { return Ok(Vec::new()) };
-    let mean = |(index, Term { modality, value }): (usize, Term)| {
-        let others = losses.iter().map(|terms| terms[index].value.clone());
-        Ok(Term { modality, value: mean(others.chain([value]).collect())? })
+/// Returns the mean loss of each modality over the distances 1, 2, …. The weight of a distance is that of the one
+/// before it, times `discount`.
+fn means(losses: Vec<Vec<Term>>, discount: f64) -> Result<Vec<Term>> {
+    let Some(first) = losses.first() else { return Ok(Vec::new()) };
+    let mean = |(index, Term { modality, .. }): (usize, &Term)| {
+        let values = losses.iter().map(|terms| terms[index].value.clone()).collect();
+        Ok(Term { modality: *modality, value: discounted(values, discount)? })
     };
-    first.into_iter().enumerate().map(mean).collect()
+    first.iter().enumerate().map(mean).collect()
+}
+
+fn discounted(losses: Vec<Tensor>, discount: f64) -> Result<Tensor> {
+    if discount == 1.0 || losses.len() == 1 {
+        return mean(losses);
+    }
+    let weights: Vec<f64> = (0..losses.len() as i32).map(|further| discount.powi(further)).collect();
+    let sum: f64 = weights.iter().sum();
+    let weights: Vec<f32> = weights.into_iter().map(|weight| (weight / sum) as f32).collect();
+    let losses = Tensor::stack(&losses, 0)?;
+    (&losses * Tensor::new(weights, losses.device())?)?.sum_all()
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of

@@ -291,6 +291,7 @@ impl RunSpec {
                 "weight_decay": training.weight_decay,
                 "clip_norm": training.clip_norm,
                 "rollout_stride": training.rollout_stride,
+                "discount": training.discount,
                 "last_epoch": training.last_epoch,
                 "stop": training.stop,
                 "losses": losses,

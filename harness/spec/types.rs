@@ -383,6 +383,11 @@ pub struct Training {
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = 1, max = 10_000))]
     pub rollout_stride: usize,
+    /// Weight of the loss of a predicted sample, relative to that of the sample before it. The weights of the samples
+    /// of a horizon add up to 1. The default is 1, which weighs all alike.
+    #[serde(skip_serializing_if = "is_one")]
+    #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
+    pub discount: f64,
     /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
@@ -554,6 +559,7 @@ impl Default for Training {
             clip_norm: None,
             batch_size: 1024,
             rollout_stride: 1,
+            discount: 1.0,
             epochs: 200,
             last_epoch: None,
             patience: Some(20),
@@ -591,8 +597,8 @@ fn default_hidden() -> Vec<usize> {
 fn one() -> usize {
     1
 }
-fn is_one(value: &usize) -> bool {
-    *value == 1
+fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
+    *value == T::from(1)
 }
 fn memory_samples() -> usize {
     Network::MEMORY_SAMPLES

@@ -212,6 +212,61 @@ fn few_rollouts_have_the_loss_of_all_on_average() {
     assert!((few / all - 1.0).abs() < 0.03, "{few} of some rollouts, {all} of all");
 }
 
+#[test]
+fn further_predictions_weigh_less_by_the_discount() {
+    let (bench, architecture) = bench(Memory::Gru);
+    let at = [Sample::at(6), Sample::at(24)];
+    let loss = |horizon, discount| {
+        let (network, _) = built(&architecture);
+        let (window, training) = (Window { context: 6, horizon, ..Window::TRANSITION }, settings());
+        let training = Training { discount, ..training };
+        let terms = objective(&bench, network, window, &training).terms(&at, Draw::Mean).unwrap();
+        terms[0].value.to_scalar::<f32>().unwrap()
+    };
+    // The losses at single distances follow from their means over 1, 2 and 3 of them.
+    let means = [1, 2, 3].map(|horizon| loss(horizon, 1.0));
+    let [first, second, third] = [means[0], 2.0 * means[1] - means[0], 3.0 * means[2] - 2.0 * means[1]];
+    for discount in [0.7, 0.1_f32] {
+        let expected = (first + discount * second + discount * discount * third)
+            / (1.0 + discount + discount * discount);
+        let found = loss(3, f64::from(discount));
+        assert!((found - expected).abs() < 1e-5, "{discount}: {found}, {expected}");
+        assert!((found - means[2]).abs() > 1e-3, "{discount} makes no difference");
+    }
+    // Without a discount, the loss is the plain mean to the last bit, and one distance has all the weight.
+    assert_eq!(loss(3, 1.0), plain_mean(&bench, &architecture, &at, 6, 3));
+    assert_eq!(loss(1, 0.7), first);
+}
+
+/// The mean loss of all distances up to the horizon, of the network that `built` makes.
+fn plain_mean(
+    bench: &Bench,
+    architecture: &Architecture,
+    at: &[Sample],
+    context: usize,
+    horizon: usize,
+) -> f32 {
+    let (network, _) = built(architecture);
+    let data = &bench.data;
+    let seen: Vec<Sample> =
+        (0..context).rev().flat_map(|distance| at.iter().map(move |last| last.before(distance))).collect();
+    let encoded = network.encode(&data.observation(&seen, &ANGLES).unwrap(), &mut Draw::Mean).unwrap();
+    let (start, actions) = (network.start(at.len(), &Device::Cpu).unwrap(), data.actions(&seen).unwrap());
+    let mut state =
+        network.unroll(at.len(), start.as_ref(), &encoded, &actions, &mut Draw::Mean).unwrap().state;
+    let ahead = |distance| seen.iter().map(|sample| sample.after(distance)).collect::<Vec<_>>();
+    let losses = (1..=horizon).map(|distance| {
+        if distance > 1 {
+            state = network.act(&state, &data.actions(&ahead(distance - 1)).unwrap()).unwrap();
+        }
+        let values = data.observation(&ahead(distance), &ARM).unwrap();
+        let targets = Targets { values: &values, losses: &BTreeMap::new() };
+        network.losses(&state, targets).unwrap().remove(0).value
+    });
+    let losses: Vec<Tensor> = losses.collect();
+    Tensor::stack(&losses, 0).unwrap().mean_all().unwrap().to_scalar().unwrap()
+}
+
 /// The state of a sample, step by step from an earlier one.
 fn stepped(bench: &Bench, network: &dyn Predicting, first: usize, present: usize) -> State {
     let mut state = network.start(1, &Device::Cpu).unwrap();
@@ -292,13 +347,8 @@ fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
     let (network, parameters) = built(&architecture);
     let horizon = if memory == Memory::None { 1 } else { 3 };
     let window = Window { context: 12, start: WindowStart::Rest, horizon };
-    let training = Training {
-        epochs: 150,
-        learning_rate: 5e-3,
-        patience: None,
-        batch_size: 128,
-        ..Training::default()
-    };
+    let training =
+        Training { epochs: 150, learning_rate: 5e-3, patience: None, batch_size: 128, ..Training::default() };
     let objective = objective(&bench, network, window, &training);
     let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
     let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);
