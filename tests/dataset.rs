@@ -376,7 +376,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 fn normalized_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> =
         Arc::new(Collected::new(Scenario::CLUTTERED, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
-    let at = samples.partition(&Split::default(), Window::TRANSITION).unwrap().training;
+    let at = samples.partition(&Split::default(), &Window::TRANSITION).unwrap().training;
     let scalings = Modality::BUILT_IN
         .iter()
         .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
@@ -509,35 +509,35 @@ fn a_split_by_time_trains_on_each_episodes_start_before_a_gap() {
     // Of 200 samples at 10 Hz, 20 are for validation and 20 for test, and each gap has 50 by default.
     let samples = ramps(0, &[200, 200]);
     let Partition { training, validation, test } =
-        samples.partition(&split(Division::Time), Window::TRANSITION).unwrap();
+        samples.partition(&split(Division::Time), &Window::TRANSITION).unwrap();
     // A transition's next sample belongs to the same part, so a part has one transition less than samples.
     let expected = |part: std::ops::Range<usize>| at(part.clone().chain(part.start + 200..part.end + 200));
     assert_eq!(training, expected(0..59));
     assert_eq!(validation, expected(110..129));
     assert_eq!(test, expected(180..199));
     let narrow = Split { gap_seconds: Some(0.25), test: 0.2, ..split(Division::Time) };
-    let Partition { training, validation, test } = samples.partition(&narrow, Window::TRANSITION).unwrap();
+    let Partition { training, validation, test } = samples.partition(&narrow, &Window::TRANSITION).unwrap();
     assert_eq!((training.len(), validation[0], test[0]), (2 * 133, Sample::at(137), Sample::at(160)));
     // If an episode is too short for the gaps, there is nothing to train on.
-    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time), Window::TRANSITION), None);
+    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time), &Window::TRANSITION), None);
 }
 
 #[test]
 fn one_continuous_run_is_split_by_time_or_sample_not_by_episode() {
     let samples = ramps(0, &[1000]);
-    assert_eq!(samples.partition(&split(Division::Episode), Window::TRANSITION), None);
+    assert_eq!(samples.partition(&split(Division::Episode), &Window::TRANSITION), None);
     let Partition { training, validation, test } =
-        samples.partition(&split(Division::Time), Window::TRANSITION).unwrap();
+        samples.partition(&split(Division::Time), &Window::TRANSITION).unwrap();
     assert_eq!((training, validation, test), (at(0..699), at(750..849), at(900..999)));
     let Partition { training, validation, test } =
-        samples.partition(&split(Division::Sample), Window::TRANSITION).unwrap();
+        samples.partition(&split(Division::Sample), &Window::TRANSITION).unwrap();
     assert_eq!([training.len(), validation.len(), test.len()], [799, 100, 100]);
 }
 
 #[test]
 fn a_split_by_sample_draws_all_once_by_the_datasets_seed_alone() {
     let by_sample = split(Division::Sample);
-    let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample, Window::TRANSITION).unwrap();
+    let drawn = |seed| ramps(seed, &[300, 200]).partition(&by_sample, &Window::TRANSITION).unwrap();
     let one = drawn(1);
     assert_eq!(one, drawn(1));
     assert_ne!(one.test, drawn(2).test);
@@ -558,7 +558,7 @@ fn a_window_never_leaves_its_episode_or_its_part() {
     let window = Window { context: 4, horizon: 3, ..Window::TRANSITION };
     let episode_of = |sample: Sample| samples.place(sample).0;
     let parts = |by| {
-        let Partition { training, validation, test } = samples.partition(&split(by), window).unwrap();
+        let Partition { training, validation, test } = samples.partition(&split(by), &window).unwrap();
         [training, validation, test]
     };
     // An episode has six windows less than samples, and three more with a context of one sample.
@@ -586,17 +586,17 @@ fn a_window_never_leaves_its_episode_or_its_part() {
     // No episode has a window that is longer than it.
     let long = Window { context: 150, horizon: 100, ..Window::TRANSITION };
     let Partition { training, validation, test } =
-        ramps(0, &[200, 300, 300, 300]).partition(&split(Division::Episode), long).unwrap();
+        ramps(0, &[200, 300, 300, 300]).partition(&split(Division::Episode), &long).unwrap();
     assert_eq!([training.len(), validation.len(), test.len()], [100 + 200, 200, 51]);
-    assert_eq!(samples.partition(&split(Division::Time), long), None);
+    assert_eq!(samples.partition(&split(Division::Time), &long), None);
 }
 
 #[test]
 fn sequences_cover_their_episodes_without_overlap() {
     let samples = ramps(0, &[40, 23, 7]);
-    let all = samples.windows(Window::TRANSITION);
+    let all = samples.windows(&Window::TRANSITION);
     for length in [1, 4, 7] {
-        let windows = samples.windows(Window { context: length, ..Window::TRANSITION });
+        let windows = samples.windows(&Window { context: length, ..Window::TRANSITION });
         for left_out in [|_: usize| 0, |most: usize| most] {
             let taken = sequences(&all, length, left_out);
             assert!(taken.iter().all(|last| windows.contains(last)));

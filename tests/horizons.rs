@@ -257,6 +257,60 @@ fn skills() -> BTreeMap<(String, String, i64), Vec<f64>> {
 }
 
 #[test]
+fn predictions_from_a_time_on_have_metrics_of_their_own() {
+    let results = fresh("horizons_since");
+    succeed(&results, &[&RUN[..7], &["window.since_s=[1,2]"]].concat());
+    let rows = |results: &Path, sql: &str| catalog::query(&Registry::new(results), sql).unwrap();
+    for since_s in [1, 2] {
+        // Ten samples a second. Elements whose reference is constant have no R2.
+        let expected = format!(
+            "select task, modality, horizon, sqrt(sum(squared) / sum(n)) as rmse, sum(absolute) / sum(n) as mae,
+                    1 - sum(case when spread > 0 then squared end) / sum(spread) as r2
+             from (select task, modality, horizon, count(*) as n, var_pop(reference) * count(*) as spread,
+                          sum(pow(predicted - reference, 2)) as squared, sum(abs(predicted - reference)) as absolute
+                   from all_predictions where sample >= {} group by task, modality, horizon, index)
+             group by task, modality, horizon order by task, modality, horizon",
+            10 * since_s
+        );
+        let expected = rows(&results, &expected);
+        // Two modalities at three distances, and the reconstructed angles.
+        assert_eq!(expected.height(), 2 * 3 + 1);
+        for metric in ["rmse", "mae", "r2"] {
+            let found = format!(
+                "select task, modality, horizon, value from all_metrics
+                 where metric = '{metric}_from_{since_s}s' and model = 'network' and direction is null
+                 order by task, modality, horizon"
+            );
+            let found = rows(&results, &found);
+            assert_eq!(found.height(), expected.height(), "only rows of all elements together");
+            for row in 0..found.height() {
+                let key = |table| ["task", "modality", "horizon"].map(|column| text(table, column, row));
+                assert_eq!(key(&found), key(&expected));
+                let (value, expected) = (number(&found, "value", row), number(&expected, metric, row));
+                let (value, expected) = (value.unwrap(), expected.unwrap());
+                assert!(
+                    (value - expected).abs() < 1e-5 * (1.0 + expected.abs()),
+                    "{metric}: {value} {expected}"
+                );
+            }
+        }
+    }
+    // The baselines have them too, and a comparison shows them.
+    let compared = compared(&results, &["--metrics", "r2_from_2s", "--task", "prediction"]);
+    let models: BTreeSet<String> = (0..compared.height()).map(|row| text(&compared, "model", row)).collect();
+    assert_eq!(models.len(), 4);
+    // All other rows are those without the setting.
+    let others =
+        "select task, model, modality, horizon, direction, index, metric, value, unit from all_metrics
+                  where run like 'empty-z4-seed0-%' and metric not like '%from%' order by all";
+    let [with, without] = [&results, &*RESULTS].map(|results| rows(results, others));
+    assert!(with.equals_missing(&without) && with.height() > 100);
+    let none = rows(&RESULTS, "select count(*) as n from all_metrics where metric like '%from%'");
+    assert_eq!(number(&none, "n", 0), Some(0.0));
+    fs::remove_dir_all(&results).unwrap();
+}
+
+#[test]
 fn the_skill_compares_squared_errors_with_persistence() {
     let found = compared(&RESULTS, &["--by", "horizon", "--metrics", "skill"]);
     let expected = skills();

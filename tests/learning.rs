@@ -679,7 +679,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let samples = walks(4, 12);
-        let partition = samples.partition(&Split::default(), Window::TRANSITION).unwrap();
+        let partition = samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
         let scalings = Modality::BUILT_IN
             .iter()
             .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
@@ -757,7 +757,7 @@ impl Bench {
         let objective = Prediction {
             data: &self.data,
             network: architecture.network(&mut parameters, &mut random, &Device::Cpu)?,
-            window: Window::TRANSITION,
+            window: &Window::TRANSITION,
             input: &INPUT,
             output: &OUTPUT,
             training: &self.training,
@@ -1250,7 +1250,7 @@ fn a_frame_difference_is_what_changed_since_the_sample_before() {
 fn transitions_never_cross_episodes_and_splits_never_share_one() {
     let samples = walks(5, 6);
     let Partition { training, validation, test } =
-        samples.partition(&Split::default(), Window::TRANSITION).unwrap();
+        samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
     let episode = |transitions: &[Sample]| -> Vec<usize> {
         transitions.iter().map(|sample| samples.place(*sample).0).collect()
     };

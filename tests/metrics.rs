@@ -338,6 +338,12 @@ fn contacts_of_each_kind_have_metrics_of_their_own() {
         "kinds change no other row"
     );
     assert!(rows.iter().all(|row| row.index.is_none() || !matches!(row.metric, Metric::Regional(..))));
+    // As those of one region, all rows that are not of an element have its name, and no row is of another region.
+    let of_region = evaluation.rows_of_region("from_2s");
+    let plain = rows.iter().filter(|row| row.index.is_none() && !matches!(row.metric, Metric::Regional(..)));
+    let renamed = plain.map(|row| Row { metric: row.metric.in_region("from_2s"), ..row.clone() });
+    assert_eq!(of_region, renamed.collect::<Vec<_>>());
+    assert_eq!(Metric::named("r2_from_2s"), Some(of_region[1].metric));
 }
 
 #[test]

@@ -176,6 +176,10 @@ fn a_memory_needs_consecutive_samples() {
         (&gru[..1], "needs a context of several samples; use for example window.context: 50, or"),
         (&[gru[0], gru[1], "split.by=sample"], "which a split by sample tears apart; use episode or time"),
         (&[gru[0], gru[1], "split.by=time", "window.start=rest"], "leaves no whole episodes to start from"),
+        (
+            &["window.since_s=[2,20]"],
+            "an episode lasts 20 s; use a shorter time or more actuations_per_episode",
+        ),
     ] {
         let said = load(overrides).unwrap_err();
         assert!(said.contains(expected), "{said}");
@@ -184,6 +188,7 @@ fn a_memory_needs_consecutive_samples() {
     let json = |overrides: &[&str]| serde_json::to_value(&load(overrides).unwrap().runs()[0]).unwrap();
     assert_eq!(json(&["network.memory=none", "window.start=random"]), json(&[]));
     assert_ne!(json(&gru), json(&gru[1..]));
+    assert_eq!(json(&["training.discount=1", "window.since_s=[]"]), json(&[]));
     // A sweep may compare contexts.
     let text = format!("{BASE}window: {{context: 5}}\nvary: {{window.context: [5, 50]}}\n");
     let swept = load_with(text, &gru[..1], false).unwrap();

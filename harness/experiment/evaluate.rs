@@ -55,7 +55,7 @@ fn baselines(
     spec: &RunSpec,
 ) -> Result<Vec<MetricRow>, JudgeError> {
     let samples = &*data.samples;
-    let test = Test { samples, task, windows: &partition.test, sampled: None };
+    let test = Test { samples, task, windows: &partition.test, since_s: &spec.window.since_s, sampled: None };
     let mut rows = Vec::new();
     let mut add = |predictor: &dyn Predictor| {
         rows.extend(judge(predictor, &test)?.metrics);

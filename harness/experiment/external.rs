@@ -471,7 +471,8 @@ impl Runner<'_> {
         self.progress.begin("judging", (windows.len() * recorded.len()) as u64, "windows");
         for predictor in recorded {
             let sampled = Some(&references.sampled[..]);
-            let test = Test { samples: task.samples(), task: Task::Prediction, windows, sampled };
+            let (samples, since_s) = (task.samples(), &task.task.spec.window.since_s);
+            let test = Test { samples, task: Task::Prediction, windows, since_s, sampled };
             let judged = judge(predictor as &dyn Predictor, &test)?;
             outcome.metrics.extend(judged.metrics);
             outcome.predictions.extend(judged.predictions);

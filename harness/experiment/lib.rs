@@ -237,7 +237,7 @@ impl Planned {
     fn shares_data(&self, other: &Planned) -> bool {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
-            let data = (&spec.scenario, &spec.simulation, &spec.split, spec.window);
+            let data = (&spec.scenario, &spec.simulation, &spec.split, &spec.window);
             let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
             (data, form, device(spec))
         }
@@ -384,7 +384,7 @@ impl<'a> Runner<'a> {
     fn open(&self, spec: &RunSpec, source: &Source, frames: FramePlace) -> Result<OpenData, ExperimentError> {
         let begin = Instant::now();
         let samples = source.dataset.load(frames, self.progress)?;
-        let partition = samples.partition(&spec.split, spec.window).ok_or(ExperimentError::NoTraining)?;
+        let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let data = NormalizedData {
@@ -517,7 +517,7 @@ impl TrainingRun<'_> {
         let objective = Prediction {
             data,
             network: network.map_err(LearningError::from)?,
-            window: spec.window,
+            window: &spec.window,
             input: &spec.input,
             output: &spec.output,
             training: &self.trained.training,
@@ -537,7 +537,7 @@ impl TrainingRun<'_> {
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let latents = Latents::of(network, data, &spec.input, spec.window).map_err(LearningError::from)?;
+        let latents = Latents::of(network, data, &spec.input, &spec.window).map_err(LearningError::from)?;
         let architecture = architecture(spec, self.trained, data.samples.layout(), task);
         let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
         let objective = Reconstruction {
@@ -591,7 +591,13 @@ impl TrainingRun<'_> {
         let begin = Instant::now();
         let PreparedData { open: OpenData { data, partition, .. }, references, .. } = self.prepared;
         let sampled = &references.sampled;
-        let test = Test { samples: &data.samples, task, windows: &partition.test, sampled: Some(sampled) };
+        let test = Test {
+            samples: &data.samples,
+            task,
+            windows: &partition.test,
+            since_s: &self.spec.window.since_s,
+            sampled: Some(sampled),
+        };
         let judged = judge(predictor, &test)?;
         outcome.metrics.extend(judged.metrics);
         outcome.predictions.extend(judged.predictions);

@@ -136,13 +136,13 @@ pub fn rollout(
         action: spec.action,
         device: Device::Cpu,
     };
-    let window = Window { horizon, ..spec.window };
-    let present = data.samples.windows(window.judged());
+    let window = Window { horizon, ..spec.window.clone() };
+    let present = data.samples.windows(&window.judged());
     if present.is_empty() {
         return Err(RolloutError::TooShort { episode, samples: data.samples.len(), window });
     }
     let (network, input, output) = (network.detached(), &spec.input[..], &spec.output[..]);
-    let trained = TrainedNetwork { data: &data, network, input, output, window };
+    let trained = TrainedNetwork { data: &data, network, input, output, window: &window };
     let mut predicted: BTreeMap<Modality, Vec<f32>> = BTreeMap::new();
     for at in present.chunks(BATCH) {
         trained.predict(at, &mut |found| {

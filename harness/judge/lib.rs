@@ -15,7 +15,7 @@ pub use ridge::{Given, Ridge};
 pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
 pub use training_mean::TrainingMean;
 
-use harness_metrics::{Evaluation, MetricsError, parts};
+use harness_metrics::{Evaluation, MetricsError, Row, parts};
 use harness_samples::{Sample, Samples, after, physical};
 use harness_spec::{Modality, Task};
 use rayon::prelude::*;
@@ -88,6 +88,9 @@ pub struct Test<'a> {
     pub task: Task,
     /// The present samples of the windows that are predicted.
     pub windows: &'a [Sample],
+    /// Times since the start of an episode, s. The predicted samples at each of them and later have metrics of their
+    /// own.
+    pub since_s: &'a [u32],
     /// The windows whose images are stored. `None` if only the metrics are wanted, without predictions and images.
     pub sampled: Option<&'a [SampledWindow]>,
 }
@@ -110,6 +113,7 @@ pub struct Judged {
 pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeError> {
     let layout = test.samples.layout();
     let mut evaluations = BTreeMap::<(Modality, usize), Evaluation>::new();
+    let mut later = BTreeMap::<(Modality, usize, u32), Evaluation>::new();
     let mut judged = Judged::default();
     let given = predictor.given().map(rows::given);
     for at in test.windows.chunks(BATCH) {
@@ -121,6 +125,10 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             let new = || Evaluation::new(definition, &layout.regions);
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
             add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
+            for &since_s in test.since_s {
+                let evaluation = later.entry((*modality, *horizon, since_s)).or_insert_with(new);
+                add_since(since_s, evaluation, test.samples, &ahead, &reference, values)?;
+            }
             if let Some(sampled) = test.sampled {
                 if is_usual(*horizon, given) {
                     judged.frames.extend(frames::rows(test, sampled, at, &reference, predicted));
@@ -130,13 +138,39 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             Ok(())
         })?;
     }
-    let rows = evaluations.iter().flat_map(|((_, horizon), evaluation)| {
-        let (task, model) = (test.task, predictor.name());
-        let named = move |row| MetricRow { task, model: model.to_owned(), horizon: *horizon, given, row };
-        evaluation.rows().into_iter().map(named)
-    });
-    judged.metrics = rows.collect();
+    let (task, model) = (test.task, predictor.name());
+    let mut list = |horizon: usize, rows: Vec<Row>| {
+        let named = |row| MetricRow { task, model: model.to_owned(), horizon, given, row };
+        judged.metrics.extend(rows.into_iter().map(named));
+    };
+    evaluations.iter().for_each(|((_, horizon), evaluation)| list(*horizon, evaluation.rows()));
+    for ((_, horizon, since_s), evaluation) in &later {
+        list(*horizon, evaluation.rows_of_region(&format!("from_{since_s}s")));
+    }
     Ok(judged)
+}
+
+/// Adds the predictions of those samples `at` to an evaluation that are at `since_s` of their episode or later. Values
+/// in regions are not told apart.
+fn add_since(
+    since_s: u32,
+    evaluation: &mut Evaluation,
+    samples: &Samples,
+    at: &[Sample],
+    reference: &[f32],
+    predicted: &[f32],
+) -> Result<(), MetricsError> {
+    let first = f64::from(since_s) * samples.recording().sample_rate_hz;
+    let is_later = |sample: &Sample| samples.place(*sample).1 as f64 >= first;
+    let (width, mut row) = (reference.len() / at.len(), 0);
+    for part in at.chunk_by(|one, next| is_later(one) == is_later(next)) {
+        let values = row * width..(row + part.len()) * width;
+        if is_later(&part[0]) {
+            evaluation.add(&reference[values.clone()], &predicted[values])?;
+        }
+        row += part.len();
+    }
+    Ok(())
 }
 
 /// Adds the predictions of `modality` at the samples `at` to an evaluation.

@@ -53,7 +53,7 @@ pub struct Prediction<'a> {
     /// What is trained.
     pub network: Box<dyn Network>,
     /// How many samples the network sees and predicts.
-    pub window: Window,
+    pub window: &'a Window,
     /// Modalities that the network sees.
     pub input: &'a [Modality],
     /// Modalities that the network predicts.

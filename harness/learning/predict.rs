@@ -64,7 +64,7 @@ fn present(
     network: &dyn Network,
     data: &NormalizedData,
     input: &[Modality],
-    window: Window,
+    window: &Window,
     at: &[Sample],
 ) -> Result<State> {
     let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
@@ -115,10 +115,10 @@ impl Latents {
         network: &dyn Network,
         data: &NormalizedData,
         input: &[Modality],
-        window: Window,
+        window: &Window,
     ) -> Result<Self> {
         let network = network.detached();
-        let at = data.samples.windows(Window { horizon: 0, ..window.of_one_sample() });
+        let at = data.samples.windows(&Window { horizon: 0, ..window.of_one_sample() });
         let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.latent));
         let values = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?.contiguous()?;
         Ok(Self { at, values })
@@ -154,7 +154,7 @@ pub struct TrainedNetwork<'a> {
     /// The modalities that it predicts.
     pub output: &'a [Modality],
     /// How many samples it sees and predicts.
-    pub window: Window,
+    pub window: &'a Window,
 }
 
 impl Predictor for TrainedNetwork<'_> {
@@ -164,7 +164,7 @@ impl Predictor for TrainedNetwork<'_> {
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let Self { data, network, input, window, .. } = self;
-        let mut state = present(&**network, data, input, *window, at).map_err(failed)?;
+        let mut state = present(&**network, data, input, window, at).map_err(failed)?;
         let horizons = window.horizons();
         for horizon in 1..=window.horizon {
             let now = after(at, horizon - 1);

@@ -82,8 +82,9 @@ pub enum Metric {
     Skill,
     /// The largest horizon up to which the skill is positive, in samples; see [`skill::skill_horizon`].
     SkillHorizon,
-    /// Another metric over a region: over the pixels that show the region before or after the change, or over the
-    /// contacts of one kind. It holds the other metric and the whole name, such as `r2_ground`.
+    /// Another metric over a region: over the pixels that show the region before or after the change, over the
+    /// contacts of one kind, or over the samples from a time of their episode on. It holds the other metric and the
+    /// whole name, such as `r2_ground`.
     Regional(&'static Metric, &'static str),
 }
 
@@ -162,8 +163,9 @@ impl FromStr for Metric {
             Self::GENERAL.into_iter().chain(Self::DERIVED).map(Self::name).collect::<Vec<_>>().join(", ");
         Self::named(name).ok_or_else(|| {
             format!(
-                "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, and \
-                 METRIC_KIND of its kinds of contact, as r2_ground"
+                "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, \
+                 METRIC_KIND of its kinds of contact, as r2_ground, and METRIC_from_Ns of window.since_s, as \
+                 r2_from_10s"
             )
         })
     }
@@ -331,6 +333,15 @@ impl Evaluation {
             }
         }
         found
+    }
+
+    /// Returns the metrics of all batches so far as those of a region: of all elements first, then of each group. All
+    /// added values are in this region, and the evaluation's own regions are left out.
+    pub fn rows_of_region(&self, region: &str) -> Vec<Row> {
+        let mut rows = self.rows();
+        rows.retain(|row| row.index.is_none() && !matches!(row.metric, Metric::Regional(..)));
+        rows.iter_mut().for_each(|row| row.metric = row.metric.in_region(region));
+        rows
     }
 
     /// Whether a metric has a row for a region. Images have only the relative error, and forces without a contact are

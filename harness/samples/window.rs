@@ -81,7 +81,7 @@ pub fn ends(samples: &[Sample], length: usize) -> Vec<Sample> {
 }
 
 /// Returns the present samples of all windows within a range of consecutive samples.
-fn within(window: Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
+fn within(window: &Window, samples: &Range<usize>) -> impl Iterator<Item = Sample> + use<> {
     let first = samples.start + window.context - 1;
     (first..samples.end.saturating_sub(window.horizon)).map(Sample::at)
 }
@@ -99,13 +99,13 @@ pub struct Partition {
 
 impl Samples {
     /// Returns the present samples of all windows, in their order. A window never leaves its episode.
-    pub fn windows(&self, window: Window) -> Vec<Sample> {
+    pub fn windows(&self, window: &Window) -> Vec<Sample> {
         self.episodes().iter().flat_map(|range| within(window, range)).collect()
     }
 
     /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A
     /// window never leaves its episode. If episodes or times are split, it never leaves its part.
-    pub fn partition(&self, split: &Split, window: Window) -> Option<Partition> {
+    pub fn partition(&self, split: &Split, window: &Window) -> Option<Partition> {
         let partition = match split.by {
             Division::Episode => self.partition_by_episode(split, window),
             Division::Time => self.partition_by_time(split, window),
@@ -122,10 +122,10 @@ impl Samples {
     ///
     /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
     /// keeps the neighbors of a test sample out of the training data.
-    fn partition_by_episode(&self, split: &Split, window: Window) -> Option<Partition> {
+    fn partition_by_episode(&self, split: &Split, window: &Window) -> Option<Partition> {
         let counts = split.counts(self.episodes().len())?;
-        let all = |episodes: &[Range<usize>], window| {
-            episodes.iter().flat_map(|range| within(window, range)).collect()
+        let all = |episodes: &[Range<usize>], window: Window| {
+            episodes.iter().flat_map(|range| within(&window, range)).collect()
         };
         let (training, others) = self.episodes().split_at(counts.training);
         let (validation, test) = others.split_at(counts.validation);
@@ -138,12 +138,12 @@ impl Samples {
 
     /// In each episode, the last part is for the test, the part before it for validation, and the first part for
     /// training. A gap separates the parts.
-    fn partition_by_time(&self, split: &Split, window: Window) -> Option<Partition> {
+    fn partition_by_time(&self, split: &Split, window: &Window) -> Option<Partition> {
         let mut parts = [(); 3].map(|()| Vec::new());
-        let windows = [window.of_one_sample(), window.of_one_sample(), window];
+        let windows = [window.of_one_sample(), window.of_one_sample(), window.clone()];
         for episode in self.episodes() {
             let times = split.times(episode.len(), window.samples(), self.recording().sample_rate_hz)?;
-            for ((part, time), window) in parts.iter_mut().zip(times).zip(windows) {
+            for ((part, time), window) in parts.iter_mut().zip(times).zip(&windows) {
                 part.extend(within(window, &(episode.start + time.start..episode.start + time.end)));
             }
         }
@@ -153,7 +153,7 @@ impl Samples {
 
     /// Windows are drawn at random. The seed is that of the dataset, so all runs on the dataset have the same split.
     /// Windows of different parts share samples.
-    fn partition_by_sample(&self, split: &Split, window: Window) -> Option<Partition> {
+    fn partition_by_sample(&self, split: &Split, window: &Window) -> Option<Partition> {
         let mut drawn = self.windows(window);
         let counts = split.counts(drawn.len())?;
         let identity = format!("harness split by sample: seed {}", self.recording().seed);

@@ -163,7 +163,7 @@ impl Experiment {
             seed,
             tasks: self.tasks.clone(),
             action: self.action,
-            window: self.window,
+            window: self.window.clone(),
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
             scaling: self.scaling_of_used(scenario),

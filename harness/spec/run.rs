@@ -255,7 +255,12 @@ impl RunSpec {
         let Self { split, simulation, .. } = self;
         let unsaid = json!({
             "variant": self.variant,
-            "window": { "context": self.window.context, "start": self.window.start, "horizon": self.window.horizon },
+            "window": {
+                "context": self.window.context,
+                "start": self.window.start,
+                "horizon": self.window.horizon,
+                "since_s": self.window.since_s,
+            },
             "split": { "by": split.by, "gap_seconds": split.gap_seconds },
             "scaling": self.scalings(layout),
         });

@@ -462,7 +462,7 @@ impl Split {
 
 /// Consecutive samples of an episode: what a model has seen, and what it predicts. A window is named by its present
 /// sample, the last one that the model has seen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Window {
     /// Number of samples that the model sees, with the present one. A network without memory sees only the present one,
@@ -478,6 +478,11 @@ pub struct Window {
     /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub horizon: usize,
+    /// Times since the start of an episode, in whole seconds. The predicted samples from each of them on have metrics
+    /// of their own, such as `r2_from_10s`. The default is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(inner(range(min = 1, max = 100_000)), extend("uniqueItems" = true))]
+    pub since_s: Vec<u32>,
 }
 
 /// Largest context and horizon.
@@ -493,7 +498,8 @@ impl Default for Window {
 
 impl Window {
     /// A transition: the present sample and the next one.
-    pub const TRANSITION: Self = Self { context: 1, start: WindowStart::Random, horizon: 1 };
+    pub const TRANSITION: Self =
+        Self { context: 1, start: WindowStart::Random, horizon: 1, since_s: Vec::new() };
 
     /// Whether this is [`Window::TRANSITION`], which specs do not store.
     pub(crate) fn is_transition(&self) -> bool {
@@ -501,25 +507,25 @@ impl Window {
     }
 
     /// Returns the window with a context of one sample.
-    pub fn of_one_sample(self) -> Self {
-        Self { context: 1, ..self }
+    pub fn of_one_sample(&self) -> Self {
+        Self { context: 1, ..self.clone() }
     }
 
     /// Returns the shortest window in which a model is judged. From the start of an episode, this is its first sample.
-    pub fn judged(self) -> Self {
+    pub fn judged(&self) -> Self {
         match self.start {
-            WindowStart::Random => self,
+            WindowStart::Random => self.clone(),
             WindowStart::Rest => self.of_one_sample(),
         }
     }
 
     /// Returns the number of samples in a window.
-    pub fn samples(self) -> usize {
+    pub fn samples(&self) -> usize {
         self.context + self.horizon
     }
 
     /// Returns the numbers of samples after the present one at which predictions are judged, in ascending order.
-    pub fn horizons(self) -> Vec<usize> {
+    pub fn horizons(&self) -> Vec<usize> {
         let shorter = HORIZONS.into_iter().filter(|horizon| *horizon < self.horizon);
         shorter.chain([self.horizon]).collect()
     }

@@ -493,6 +493,14 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             ),
         );
     }
+    let seconds = samples as f64 / simulation.sample_rate_hz;
+    let is_later = |since: &u32| is_simulated && f64::from(*since) >= seconds;
+    if let Some(index) = window.since_s.iter().position(is_later) {
+        return fault(
+            format!("window.since_s.{index}"),
+            format!("an episode lasts {seconds} s; use a shorter time or more actuations_per_episode"),
+        );
+    }
     if window.start == WindowStart::Rest && split.by != Division::Episode {
         return fault(
             "window.start",

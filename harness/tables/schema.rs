@@ -285,7 +285,8 @@ fn metric_values() -> Vec<Column> {
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
              regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those \
-             of other kinds of contact: over the links with such a contact; or a user's metric",
+             of other kinds of contact: over the links with such a contact; r2_from_10s and others of window.since_s: \
+             over the samples from that time of their episode on; or a user's metric",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),

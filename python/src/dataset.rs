@@ -186,7 +186,7 @@ impl Dataset {
             return wrong(format!("gap_seconds: {gap} must be in [0, 3600]"));
         }
         let Some(partition) =
-            self.samples.partition(&Split { by, validation, test, gap_seconds }, Window::TRANSITION)
+            self.samples.partition(&Split { by, validation, test, gap_seconds }, &Window::TRANSITION)
         else {
             let episodes = self.samples.episodes().len();
             return wrong(format!(

@@ -12,9 +12,11 @@ use harness_judge::{
 use harness_learning::network::{Cvae, Network as Predicting};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
+use harness_spec::WindowStart;
 
 /// The window of these tests.
-const WINDOW: Window = Window { context: 3, horizon: 5, ..Window::TRANSITION };
+const WINDOW: Window =
+    Window { context: 3, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
 
 /// The registration of what these tests add.
 struct Added {
@@ -49,7 +51,7 @@ fn fitted(
     bench: &Bench,
     network: Box<dyn Predicting>,
     parameters: &Parameters,
-    window: Window,
+    window: &Window,
     [input, output]: [&[Modality]; 2],
     epochs: usize,
 ) -> Vec<f64> {
@@ -71,10 +73,11 @@ fn fitted(
     epochs.iter().map(|epoch| epoch.train[TOTAL]).collect()
 }
 
-fn judged(bench: &Bench, predictor: &dyn Predictor, window: Window) -> Judged {
+fn judged(bench: &Bench, predictor: &dyn Predictor, window: &Window) -> Judged {
     let partition = bench.data.samples.partition(&Split::default(), window).unwrap();
     let (samples, task) = (&*bench.data.samples, Task::Prediction);
-    judge(predictor, &Test { samples, task, windows: &partition.test, sampled: Some(&[]) }).unwrap()
+    judge(predictor, &Test { samples, task, windows: &partition.test, since_s: &[], sampled: Some(&[]) })
+        .unwrap()
 }
 
 /// R2 of a modality at a horizon: the mean over its units.
@@ -93,7 +96,7 @@ fn an_added_network_with_a_state_is_trained_and_judged() {
     let bench = Bench::new();
     let (Added { network, baseline, .. }, [parameters, _]) = Added::new(&bench);
     let arm: &[Modality] = &[Modality::ARM];
-    let losses = fitted(&bench, network, &parameters, WINDOW, [arm, arm], 150);
+    let losses = fitted(&bench, network, &parameters, &WINDOW, [arm, arm], 150);
     assert!(losses[149] < 1e-3 * losses[0], "{losses:?}");
     // The parameters are those that were trained.
     let (added, [own, _]) = Added::new(&bench);
@@ -103,9 +106,9 @@ fn an_added_network_with_a_state_is_trained_and_judged() {
         network: added.network.detached(),
         input: arm,
         output: arm,
-        window: WINDOW,
+        window: &WINDOW,
     };
-    let judged_of = |predictor: &dyn Predictor| judged(&bench, predictor, WINDOW);
+    let judged_of = |predictor: &dyn Predictor| judged(&bench, predictor, &WINDOW);
     let (network, zero) = (judged_of(&trained), judged_of(&*baseline));
     let horizons = WINDOW.horizons();
     assert_eq!(horizons, [1, 2, 5]);
@@ -118,7 +121,7 @@ fn an_added_network_with_a_state_is_trained_and_judged() {
     }
     assert!(r2(&persistence, 5) < r2(&persistence, 1) && r2(&persistence, 1) < 0.999);
     // Every sample has a latent state, but only those of the dataset.
-    let latents = Latents::of(&*added.network, &bench.data, arm, WINDOW).unwrap();
+    let latents = Latents::of(&*added.network, &bench.data, arm, &WINDOW).unwrap();
     assert!(latents.rows(&[Sample::at(1)]).is_ok() && latents.rows(&[Sample::at(48)]).is_err());
 }
 
@@ -152,7 +155,7 @@ fn a_rollout_of_some_steps_equals_single_steps() {
                 network: network.detached(),
                 input: both,
                 output: both,
-                window,
+                window: &window,
             };
             let mut found = Vec::new();
             let mut keep = |predicted: &harness_judge::Predicted| {
@@ -175,7 +178,7 @@ fn an_added_fusion_of_two_encoders_is_trained() {
     let decoder = bench.architecture().decoder(&mut parameters, &mut random(2), &Device::Cpu).unwrap();
     let network = Box::new(Cvae { encoder: fusion, decoder, input: INPUT.to_vec() });
     let before = bits(&parameters);
-    let losses = fitted(&bench, network, &parameters, Window::TRANSITION, [&INPUT, &OUTPUT], 12);
+    let losses = fitted(&bench, network, &parameters, &Window::TRANSITION, [&INPUT, &OUTPUT], 12);
     assert!(losses[11] < 0.9 * losses[0], "{losses:?}");
     let after = bits(&parameters);
     let changed = before.iter().zip(&after).filter(|(before, after)| before != after).count();
@@ -190,7 +193,7 @@ fn recorded_predictions_get_the_metrics_of_their_network() {
     let network = bench.architecture().network(&mut own, &mut random(0), &Device::Cpu).unwrap();
     own.iter().for_each(|(name, var)| var.set(&parameters[name]).unwrap());
     let output = &OUTPUT[..2];
-    let (data, window) = (&bench.data, Window::TRANSITION);
+    let (data, window) = (&bench.data, &Window::TRANSITION);
     let trained = TrainedNetwork { data, network: network.detached(), input: &INPUT, output, window };
     let expected = judged(&bench, &trained, window);
     let value = |row: &PredictionRow| RecordedValue {

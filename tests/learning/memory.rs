@@ -16,7 +16,7 @@ const ANGLES: [Modality; 1] = [Modality::PROPRIOCEPTION];
 /// Walks of the arm, and a network that sees joint angles, which say nothing about the arm.
 fn bench(memory: Memory) -> (Bench, Architecture) {
     let samples = walks(60, 16);
-    let partition = samples.partition(&Split::default(), Window::TRANSITION).unwrap();
+    let partition = samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
     let mut bench = Bench::new();
     let modalities = [Modality::ARM, Modality::PROPRIOCEPTION];
     let scaling = |modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap());
@@ -38,7 +38,7 @@ fn built(architecture: &Architecture) -> (Box<dyn Predicting>, Parameters) {
 fn objective<'a>(
     bench: &'a Bench,
     network: Box<dyn Predicting>,
-    window: Window,
+    window: &'a Window,
     training: &'a Training,
 ) -> Prediction<'a> {
     Prediction { data: &bench.data, network, window, input: &ANGLES, output: &ARM, training }
@@ -146,7 +146,7 @@ fn assert_gradients_through_time(memory: Memory) {
     let (network, parameters) = built(&architecture);
     let window = Window { context: 6, horizon: 4, ..Window::TRANSITION };
     let training = settings();
-    let objective = objective(&bench, network, window, &training);
+    let objective = objective(&bench, network, &window, &training);
     let at = [Sample::at(6), Sample::at(24)];
     let total = || {
         let terms = objective.terms(&at, Draw::Mean).unwrap();
@@ -199,7 +199,7 @@ fn few_rollouts_have_the_loss_of_all_on_average() {
     let mean = |rollout_stride| {
         let (network, _) = built(&architecture);
         let training = Training { rollout_stride, ..settings() };
-        let objective = objective(&bench, network, window, &training);
+        let objective = objective(&bench, network, &window, &training);
         assert_eq!(objective.predicted(), if rollout_stride == 1 { 24 } else { 6 + 5 });
         let mut random = random(5);
         let mut loss = || {
@@ -220,7 +220,7 @@ fn further_predictions_weigh_less_by_the_discount() {
         let (network, _) = built(&architecture);
         let (window, training) = (Window { context: 6, horizon, ..Window::TRANSITION }, settings());
         let training = Training { discount, ..training };
-        let terms = objective(&bench, network, window, &training).terms(&at, Draw::Mean).unwrap();
+        let terms = objective(&bench, network, &window, &training).terms(&at, Draw::Mean).unwrap();
         terms[0].value.to_scalar::<f32>().unwrap()
     };
     // The losses at single distances follow from their means over 1, 2 and 3 of them.
@@ -297,8 +297,8 @@ fn assert_states(memory: Memory) {
     let (network, _) = built(&architecture);
     let data = &bench.data;
     for (start, context) in [(WindowStart::Random, 5), (WindowStart::Rest, 5)] {
-        let window = Window { context, start, horizon: 3 };
-        let latents = Latents::of(&*network, data, &ANGLES, window).unwrap();
+        let window = Window { context, start, horizon: 3, ..Window::TRANSITION };
+        let latents = Latents::of(&*network, data, &ANGLES, &window).unwrap();
         for present in [20, 31] {
             // The second episode has the samples 16 to 31.
             let first = if start == WindowStart::Rest { 16 } else { present + 1 - context };
@@ -309,8 +309,13 @@ fn assert_states(memory: Memory) {
         let second = latents.rows(&[Sample::at(17)]).unwrap();
         assert!(close(&second, &stepped(&bench, &*network, 16, 17).latent));
         // A prediction of three samples is three single steps, whatever other windows are predicted with it.
-        let trained =
-            TrainedNetwork { data, network: network.detached(), input: &ANGLES, output: &ARM, window };
+        let trained = TrainedNetwork {
+            data,
+            network: network.detached(),
+            input: &ANGLES,
+            output: &ARM,
+            window: &window,
+        };
         let predicted = |at: &[Sample]| {
             let mut found = Vec::new();
             let mut keep = |predicted: &harness_judge::Predicted| {
@@ -346,24 +351,25 @@ fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
     let (bench, architecture) = bench(memory);
     let (network, parameters) = built(&architecture);
     let horizon = if memory == Memory::None { 1 } else { 3 };
-    let window = Window { context: 12, start: WindowStart::Rest, horizon };
+    let window = Window { context: 12, start: WindowStart::Rest, horizon, ..Window::TRANSITION };
     let training =
         Training { epochs: 150, learning_rate: 5e-3, patience: None, batch_size: 128, ..Training::default() };
-    let objective = objective(&bench, network, window, &training);
-    let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
+    let objective = objective(&bench, network, &window, &training);
+    let partition = &bench.data.samples.partition(&Split::default(), &window).unwrap();
     let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);
     let task = Task::Prediction;
     let fit = Fit { task, training: &training, seed: 0, partition, state, progress, log: &|_| () };
     fit.run(&objective, &parameters).unwrap();
     let (data, samples) = (&bench.data, &*bench.data.samples);
     let network = objective.network.detached();
-    let trained = TrainedNetwork { data, network, input: &ANGLES, output: &ARM, window };
+    let trained = TrainedNetwork { data, network, input: &ANGLES, output: &ARM, window: &window };
     let horizons = window.horizons();
     let persistence = Persistence { samples, modality: Modality::ARM, horizons: &horizons };
     let models: [&dyn Predictor; 2] = [&trained, &persistence];
     models.map(|model| {
         let judged =
-            judge(model, &Test { samples, task, windows: &partition.test, sampled: Some(&[]) }).unwrap();
+            judge(model, &Test { samples, task, windows: &partition.test, since_s: &[], sampled: Some(&[]) })
+                .unwrap();
         [1, horizon].map(|horizon| {
             let is_whole = |row: &&MetricRow| {
                 let found = (row.horizon, row.row.metric, row.row.index, row.row.direction.is_some());

@@ -188,7 +188,7 @@ pub struct State {
 
 /// Returns the number of samples that a network sees of a training window: only the present one if it has no memory,
 /// and thus no state before the first sample.
-pub(crate) fn context(network: &dyn Network, window: Window) -> usize {
+pub(crate) fn context(network: &dyn Network, window: &Window) -> usize {
     let has_memory = matches!(network.start(1, &Device::Cpu), Ok(Some(_)));
     if has_memory { window.context } else { 1 }
 }
