@@ -207,21 +207,27 @@ fn every_layer_is_printed_with_its_shape_and_its_parameters() {
 
 #[test]
 fn a_run_gives_the_same_tables_whatever_the_threads() {
-    let folder = Folder::new();
-    let networks = ["1", "2"].map(|threads| {
-        let results = folder.path(threads);
-        succeed(&results, &[&ONE[..], &["--threads", threads]].concat());
-        let query = "select task, model, modality, direction, index, metric, value from metrics";
-        let metrics = folder.path("metrics.csv");
-        succeed(&results, &["query", query, "--output", metrics.to_str().unwrap()]);
-        let checkpoints = files(&results).into_iter().filter(|path| path.ends_with("prediction.safetensors"));
-        (
-            std::fs::read(metrics).unwrap(),
-            checkpoints.map(|path| std::fs::read(path).unwrap()).collect::<Vec<_>>(),
-        )
-    });
-    assert_eq!(networks[0].1.len(), 1);
-    assert!(networks[0] == networks[1]);
+    let with_memory = ["window.context=6", "window.horizon=2", "window.start=rest"];
+    for (memory, settings) in [("none", &[][..]), ("gru", &with_memory), ("rssm", &with_memory)] {
+        let folder = Folder::new();
+        let memory = format!("network.memory={memory}");
+        let networks = ["1", "2"].map(|threads| {
+            let results = folder.path(threads);
+            succeed(&results, &[&ONE[..], &[&memory, "--threads", threads], settings].concat());
+            let query =
+                "select task, model, modality, direction, index, metric, horizon, value from all_metrics";
+            let metrics = folder.path("metrics.csv");
+            succeed(&results, &["query", query, "--output", metrics.to_str().unwrap()]);
+            let checkpoints =
+                files(&results).into_iter().filter(|path| path.ends_with("prediction.safetensors"));
+            (
+                std::fs::read(metrics).unwrap(),
+                checkpoints.map(|path| std::fs::read(path).unwrap()).collect::<Vec<_>>(),
+            )
+        });
+        assert_eq!(networks[0].1.len(), 1);
+        assert!(networks[0] == networks[1], "{memory}");
+    }
 }
 
 #[test]

@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 
 /// A run of about two seconds, with every stage.
 const RUN: [&str; 5] = ["run", SMOKE, "scenarios=[empty]", "training.epochs=150", "training.patience=null"];
+/// Settings of a network with memory, which predicts further than the next sample.
+const WITH_MEMORY: [&str; 3] = ["window.context=8", "window.horizon=3", "window.start=rest"];
 /// A collection of about two seconds.
 const COLLECTION: [&str; 6] =
     ["collect", SMOKE, "scenarios=[empty]", "simulation.episodes=40", "--threads", "1"];
@@ -60,8 +62,9 @@ fn name(path: &Path) -> String {
 fn numbers(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let timeless = |path: &PathBuf| {
         let name = name(path);
-        ["metrics.parquet", "predictions.parquet", "prediction.safetensors", "reconstruction.safetensors"]
-            .contains(&name.as_str())
+        name.ends_with("metrics.parquet")
+            || name.ends_with("predictions.parquet")
+            || ["prediction.safetensors", "reconstruction.safetensors"].contains(&name.as_str())
             || name.starts_with("episode_")
     };
     // A process that is killed while it removes a superseded run leaves the folder that it has set aside for `harness
@@ -301,6 +304,11 @@ fn a_run_killed_a_few_times_ends_as_one_undisturbed() {
 }
 
 #[test]
+fn a_memory_killed_a_few_times_ends_as_one_undisturbed() {
+    kill_again_and_again(&[&RUN[..], &["network.memory=gru"], &WITH_MEMORY].concat(), 3);
+}
+
+#[test]
 fn a_collection_killed_a_few_times_ends_as_one_undisturbed() {
     kill_again_and_again(&COLLECTION, 3);
 }
@@ -309,6 +317,14 @@ fn a_collection_killed_a_few_times_ends_as_one_undisturbed() {
 #[ignore = "takes minutes: make soak"]
 fn a_run_killed_at_60_moments_ends_as_one_undisturbed() {
     kill_again_and_again(&RUN, 60);
+}
+
+#[test]
+#[ignore = "takes minutes: make soak"]
+fn memories_killed_at_30_moments_end_as_one_undisturbed() {
+    for memory in ["network.memory=gru", "network.memory=rssm"] {
+        kill_again_and_again(&[&RUN[..], &[memory], &WITH_MEMORY].concat(), 30);
+    }
 }
 
 #[test]
