@@ -13,6 +13,9 @@ use terminal_size::terminal_size_of;
 /// Time between two plain lines.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
+/// Time between two changes of a bar by parts of a step.
+const PART_INTERVAL: Duration = Duration::from_millis(100);
+
 /// Terminals with fewer characters have no room for a bar.
 const NARROW: u16 = 80;
 
@@ -35,9 +38,12 @@ struct Stage {
     bar: ProgressBar,
     /// Number of characters of a line that the name and the bar take.
     taken: usize,
-    last_line: Instant,
+    /// When the last line was printed, or the bar last changed.
+    last_shown: Instant,
     /// Number of steps that were done before this process started.
     resumed: u64,
+    /// The share of the next step that is done.
+    part: f64,
 }
 
 impl Bars {
@@ -71,7 +77,8 @@ impl Stage {
     /// there is not enough room, those with the highest ranks are left out.
     fn parts(&self) -> [(String, u8); 5] {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or_default());
-        let (rate, left) = pace(done - self.resumed, total.saturating_sub(done), self.bar.elapsed());
+        let (own, left) = ((done - self.resumed) as f64, total.saturating_sub(done) as f64);
+        let (rate, left) = pace(own + self.part, left - self.part, self.bar.elapsed());
         let (main, details) = self.note.split_once(", ").unwrap_or((&self.note, ""));
         [
             (main.to_owned(), 0),
@@ -95,6 +102,19 @@ impl Stage {
         lines.find(|line| line.chars().count() <= limit).unwrap_or_else(|| with(0))
     }
 
+    /// Shows how far the stage is, in a line if the last one was printed long ago.
+    fn show(&mut self, print: impl Fn(&str)) {
+        if !lines() {
+            let room = usize::from(width().unwrap_or(NARROW)).saturating_sub(self.taken);
+            self.bar.set_message(self.fitting(room));
+        } else if self.last_shown.elapsed() >= LINE_INTERVAL {
+            print(&format!("{}: {}", self.name, self.progress()));
+        } else {
+            return;
+        }
+        self.last_shown = Instant::now();
+    }
+
     fn end(&self) -> String {
         let seconds = self.bar.elapsed().as_secs_f64();
         let resumed =
@@ -111,13 +131,13 @@ fn sentence(parts: &[impl AsRef<str>]) -> String {
 }
 
 /// The average pace of `done` steps in `elapsed`, and the estimated time of the steps that are left.
-fn pace(done: u64, left: u64, elapsed: Duration) -> (String, String) {
-    if done == 0 {
+fn pace(done: f64, left: f64, elapsed: Duration) -> (String, String) {
+    if done == 0.0 {
         return Default::default();
     }
-    let each = elapsed.as_secs_f64().max(1e-6) / done as f64;
+    let each = elapsed.as_secs_f64().max(1e-6) / done;
     let rate = if each < 1.0 { format!("{:.1}/s", 1.0 / each) } else { format!("{each:.1} s each") };
-    (rate, format!("{} left", duration(each * left as f64)))
+    (rate, format!("{} left", duration(each * left)))
 }
 
 impl Progress for Bars {
@@ -133,19 +153,23 @@ impl Progress for Bars {
         let style = if *IS_UTF8 { style } else { style.progress_chars("#-") };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
-        let (unit, note, last_line, resumed) = (unit.into(), String::new(), Instant::now(), 0);
-        *self.stage() = Some(Stage { name, unit, note, bar, taken, last_line, resumed });
+        let (unit, note, last_shown) = (unit.into(), String::new(), Instant::now());
+        *self.stage() = Some(Stage { name, unit, note, bar, taken, last_shown, resumed: 0, part: 0.0 });
     }
 
     fn advance(&self, steps: u64) {
         if let Some(stage) = self.stage().as_mut() {
             stage.bar.inc(steps);
-            if !lines() {
-                let room = usize::from(width().unwrap_or(NARROW)).saturating_sub(stage.taken);
-                stage.bar.set_message(stage.fitting(room));
-            } else if stage.last_line.elapsed() >= LINE_INTERVAL {
-                self.print(&format!("{}: {}", stage.name, stage.progress()));
-                stage.last_line = Instant::now();
+            stage.part = 0.0;
+            stage.show(|line| self.print(line));
+        }
+    }
+
+    fn part(&self, done: u64, of: u64) {
+        if let Some(stage) = self.stage().as_mut() {
+            stage.part = done as f64 / of as f64;
+            if stage.last_shown.elapsed() >= PART_INTERVAL {
+                stage.show(|line| self.print(line));
             }
         }
     }
@@ -195,9 +219,27 @@ mod tests {
             let (rate, left) = pace(done, left, Duration::from_secs(seconds));
             sentence(&[rate, left])
         };
-        assert_eq!(pace(0, 10, 5), "");
-        assert_eq!(pace(4, 10, 120), "30.0 s each, 5 min left");
-        assert_eq!(pace(500, 1000, 10), "50.0/s, 20 s left");
+        assert_eq!(pace(0.0, 10.0, 5), "");
+        assert_eq!(pace(4.0, 10.0, 120), "30.0 s each, 5 min left");
+        assert_eq!(pace(500.0, 1000.0, 10), "50.0/s, 20 s left");
+        assert_eq!(pace(0.25, 9.5, 10), "40.0 s each, 6 min left");
+    }
+
+    #[test]
+    fn the_time_left_is_told_in_the_first_step() {
+        let bars = Bars::default();
+        bars.begin("prediction", 100, "epochs");
+        let said = || bars.stage().as_ref().unwrap().progress();
+        assert_eq!(said(), "0/100 epochs");
+        std::thread::sleep(Duration::from_millis(20));
+        bars.part(1, 4);
+        let told = said();
+        assert!(told.starts_with("0/100 epochs, ") && told.ends_with(" left"), "{told}");
+        // A step that is done has no part.
+        bars.part(4, 4);
+        bars.advance(1);
+        assert_eq!(bars.stage().as_ref().unwrap().part, 0.0);
+        assert!(said().starts_with("1/100 epochs, "), "{}", said());
     }
 
     #[test]

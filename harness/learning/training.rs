@@ -120,7 +120,7 @@ impl Fit<'_> {
         let mut train = Sums::default();
         let batch = self.windows_per_step(objective);
         let epoch_steps = order.len().div_ceil(batch);
-        for at in order.chunks(batch) {
+        for (step, at) in order.chunks(batch).enumerate() {
             if self.progress.cancelled() {
                 return Err(LearningError::Cancelled);
             }
@@ -130,6 +130,7 @@ impl Fit<'_> {
             train.add(&terms, &total, at.len())?;
             adam.set_learning_rate(learning_rate(self.training, epoch_steps, adam.steps()));
             adam.step(&total.backward()?)?;
+            self.progress.part(step as u64 + 1, epoch_steps as u64);
         }
         let validation = self.validate(objective)?;
         let epoch = Epoch {

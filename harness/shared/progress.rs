@@ -6,6 +6,8 @@ pub trait Progress: Sync {
     fn begin(&self, stage: &str, total: u64, unit: &str);
     /// `steps` more steps are done.
     fn advance(&self, steps: u64);
+    /// `done` of `of` parts of the next step are done.
+    fn part(&self, _done: u64, _of: u64) {}
     /// `steps` of the stage were done before it began, by an earlier process.
     fn resume(&self, steps: u64) {
         self.advance(steps);

@@ -105,6 +105,9 @@ impl Progress for Listener<'_> {
     fn advance(&self, steps: u64) {
         self.shown.advance(steps);
     }
+    fn part(&self, done: u64, of: u64) {
+        self.shown.part(done, of);
+    }
     fn resume(&self, steps: u64) {
         self.shown.resume(steps);
     }
