@@ -657,7 +657,9 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || matches!(error.downcast_ref(), Some(ExperimentError::Unsuitable { .. }))
         || matches!(
             error.downcast_ref(),
-            Some(ExperimentError::Dataset(DatasetError::NotImported { .. } | DatasetError::Lacks { .. }))
+            Some(ExperimentError::Dataset(
+                DatasetError::NotImported { .. } | DatasetError::Lacks { .. } | DatasetError::TooShort { .. }
+            ))
         )
         || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(error.downcast_ref(), Some(ModelError::NoReconstruction { .. }))

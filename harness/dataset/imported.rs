@@ -4,8 +4,9 @@ use super::DatasetError;
 use super::description::{Content, Description};
 use super::episode_file::{episode_file, push_all, read_episode};
 use harness_samples::{FramePlace, Recording, Samples};
+use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
-use harness_spec::{Episode, Layout, Modality, RunSpec};
+use harness_spec::{Division, Episode, Layout, Modality, RunSpec, Window, WindowStart};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -60,15 +61,40 @@ impl Imported {
         &self.layout
     }
 
-    /// Checks that the dataset has the modalities that a run uses.
+    /// Checks that the dataset has the modalities that a run uses, and an episode as long as its window.
     ///
     /// # Errors
-    /// When it lacks one.
+    /// When it has not.
     pub fn check(&self, spec: &RunSpec) -> Result<(), DatasetError> {
         let missing = spec.modalities().into_iter().find(|modality| self.layout.get(*modality).is_none());
-        let Some(modality) = missing else { return Ok(()) };
-        let held: Vec<&str> = self.layout.names().map(Modality::name).collect();
-        Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") })
+        if let Some(modality) = missing {
+            let held: Vec<&str> = self.layout.names().map(Modality::name).collect();
+            return Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") });
+        }
+        let longest = self.content.samples().max().unwrap_or_default();
+        if longest < spec.window.samples() {
+            let Window { context, horizon, .. } = spec.window;
+            return Err(DatasetError::TooShort { dataset: self.name.clone(), longest, context, horizon });
+        }
+        Ok(())
+    }
+
+    /// Says how many episodes are shorter than a run's window, and what they are not used for; `None` if none is.
+    pub fn short_episodes(&self, spec: &RunSpec) -> Option<String> {
+        let Window { context, horizon, start, .. } = spec.window;
+        let short = self.content.samples().filter(|samples| *samples < spec.window.samples()).count();
+        let unused = match start {
+            _ if context == 1 || spec.split.by == Division::Sample => "they are not used",
+            WindowStart::Random => "they are not used for the test, nor to train a network with memory",
+            WindowStart::Rest => "they are not used to train a network with memory",
+        };
+        let all = counted(self.episodes() as usize, "episode");
+        (short > 0).then(|| {
+            format!(
+                "{short} of {all} of {} are shorter than a window of {context} and {horizon} samples; {unused}",
+                self.name
+            )
+        })
     }
 
     /// Reads the whole dataset into memory. The frames are stored where `frames` says.

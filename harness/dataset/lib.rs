@@ -16,6 +16,7 @@ pub use verify::{Inspection, inspect, is_lock};
 
 use harness_samples::FramesError;
 use harness_shared::files::{LockError, WriteError};
+use harness_shared::numbers::counted;
 use harness_spec::Modality;
 use harness_tables::TableError;
 use std::path::PathBuf;
@@ -61,6 +62,22 @@ pub enum DatasetError {
         modality: Modality,
         /// The modalities of the dataset, separated by commas.
         held: String,
+    },
+    /// No episode of the dataset is as long as a window.
+    #[error(
+        "the longest episode of the dataset {dataset} has {}, and a window of {context} that are seen and {horizon} \
+         that are predicted needs {}; lower window.context or window.horizon, or import longer episodes",
+        counted(*longest, "sample"), context + horizon
+    )]
+    TooShort {
+        /// Name of the dataset.
+        dataset: String,
+        /// Number of samples in the longest episode.
+        longest: usize,
+        /// Number of samples that the model sees.
+        context: usize,
+        /// Number of samples that the model predicts.
+        horizon: usize,
     },
     /// Frames can't be stored on disk.
     #[error(transparent)]

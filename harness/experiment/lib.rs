@@ -384,6 +384,11 @@ impl<'a> Runner<'a> {
     fn open(&self, spec: &RunSpec, source: &Source, frames: FramePlace) -> Result<OpenData, ExperimentError> {
         let begin = Instant::now();
         let samples = source.dataset.load(frames, self.progress)?;
+        if let AnyDataset::Imported(dataset) = &source.dataset
+            && let Some(note) = dataset.short_episodes(spec)
+        {
+            self.progress.say(&note);
+        }
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);

@@ -116,7 +116,9 @@ impl Raise for ExperimentError {
         match self {
             Self::Simulation(error) => error.raise(),
             Self::Registry(error) => error.raise(),
-            Self::NoTraining | Self::Learning(LearningError::Device { .. }) => self.value_error(),
+            Self::NoTraining
+            | Self::Dataset(DatasetError::TooShort { .. })
+            | Self::Learning(LearningError::Device { .. }) => self.value_error(),
             Self::Submission(SubmissionError::Held { .. }) => self.runtime_error(),
             Self::Submission(_) => self.value_error(),
             _ => self.runtime_error(),

@@ -10,7 +10,7 @@ import polars as pl
 import polars.selectors as cs
 import pytest
 import yaml
-from conftest import SPEC
+from conftest import ROOT, SPEC
 from PIL import Image
 
 import harness as harness_package
@@ -290,6 +290,38 @@ def test_what_an_imported_dataset_lacks_is_refused_before_work(recordings, harne
     assert "harness import MAPPING.yaml" in answer.stderr
     with pytest.raises(ValueError, match="was imported; only simulated datasets are exported"):
         RecordedDataset(harness.results / "datasets" / name)
+
+
+def test_episodes_shorter_than_the_window_are_told_or_refused(recordings, harness, tmp_path):
+    generator = np.random.default_rng(0)
+    rows = [robot_rows(episode, samples, generator) for episode, samples in enumerate([3, 9, 12, 7])]
+    (recordings / "b.parquet").unlink()
+    pl.concat(rows).write_parquet(recordings / "a.parquet")
+    mapping = write_mapping(tmp_path, recordings, ROBOT, **TRIALS)
+    name = import_dataset(mapping, harness.results, progress=False)
+    settings = [f"scenarios=[{name}]", "input=[arm]", "output=[arm]", "tasks=[prediction]"]
+
+    too_long = {"window.context": 10, "window.horizon": 3}
+    words = f"the longest episode of the dataset {name} has 12 samples, and a window of 10 that are seen and 3 that "
+    words += "are predicted needs 13; lower window.context or window.horizon, or import longer episodes"
+    answer = harness("run", SPEC, *settings, *(f"{key}={value}" for key, value in too_long.items()))
+    assert answer.returncode == 2 and words in answer.stderr
+    assert not (harness.results / "runs").exists(), "it is refused before work"
+    with pytest.raises(ValueError, match=words):
+        overrides = too_long | {"scenarios": [name], "input": ["arm"], "output": ["arm"]}
+        harness_package.run(ROOT / SPEC, overrides, results=harness.results, progress=False)
+
+    short = f"1 of 4 episodes of {name} are shorter than a window of 4 and 1 samples; they are not used"
+    for more, unused in [
+        (["window.context=4"], " for the test, nor to train a network with memory"),
+        (["window.context=4", "window.start=rest", "network.memory=gru"], " to train a network with memory"),
+        (["window.context=4", "split.by=sample"], ""),
+    ]:
+        answer = harness("run", SPEC, *settings, *more)
+        assert answer.returncode == 0, answer.stderr
+        assert f"{short}{unused}\n" in answer.stderr
+    answer = harness("run", SPEC, *settings)
+    assert answer.returncode == 0 and "shorter than" not in answer.stderr
 
 
 def test_a_damaged_or_lost_episode_is_found_and_not_trained_on(recordings, harness, tmp_path):
