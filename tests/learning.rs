@@ -1,6 +1,7 @@
 //! Own ops compared with finite differences and candle's operations, the network compared with the same network in
 //! PyTorch, and training: deterministic, resumable, stopped early.
 
+use candle_core::backprop::GradStore;
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
@@ -480,6 +481,8 @@ impl Twin {
         let fusion = settings
             .get("fusion")
             .map_or(Fusion::Early, |name| serde_json::from_value(name.clone()).unwrap());
+        let memory =
+            settings.get("memory").map_or(Memory::None, |name| serde_json::from_value(name.clone()).unwrap());
         let only = |modalities: &[Modality]| -> Vec<Modality> {
             modalities
                 .iter()
@@ -507,7 +510,7 @@ impl Twin {
                     channels: Some(sizes("channels")),
                     average: 1,
                     fusion,
-                    memory: Memory::None,
+                    memory,
                     memory_samples: 5,
                 },
                 arithmetic,
@@ -517,6 +520,24 @@ impl Twin {
 
     fn get(&self, name: &str) -> &Tensor {
         self.tensors.get(name).unwrap_or_else(|| panic!("the fixture has '{name}'"))
+    }
+
+    /// Gives the parameters the values of the fixture.
+    fn set(&self, parameters: &Parameters) {
+        parameters.iter().for_each(|(name, parameter)| parameter.set(self.get(name)).unwrap());
+    }
+
+    fn assert_term(&self, name: &str, value: &Tensor) {
+        let expected = self.get(&format!("loss.{name}"));
+        assert_close(&value.reshape(1).unwrap(), expected, TWIN_TOLERANCE, &format!("the loss term {name}"));
+    }
+
+    fn assert_gradients(&self, parameters: &Parameters, gradients: &GradStore) {
+        for (name, parameter) in parameters {
+            let found = gradients.get(parameter).unwrap_or_else(|| panic!("a gradient of {name}"));
+            let expected = self.get(&format!("grad.{name}"));
+            assert_close(found, expected, TWIN_TOLERANCE, &format!("the gradient of {name}"));
+        }
     }
 
     /// The tensors with these names that the fixture has. Those with four dimensions are images.
@@ -531,15 +552,15 @@ impl Twin {
     }
 }
 
+/// Largest difference from the values of PyTorch, relative to the largest value.
+const TWIN_TOLERANCE: f64 = 1e-4;
+
 fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic) {
-    const TOLERANCE: f64 = 1e-4;
     let twin = Twin::load(name, frames, arithmetic);
     let mut parameters = Parameters::new();
     let encoder = twin.architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
     let decoder = twin.architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
-    for (name, parameter) in &parameters {
-        parameter.set(twin.get(name)).unwrap();
-    }
+    twin.set(&parameters);
     let observation =
         twin.values([(Modality::PROPRIOCEPTION, "input.vector"), (Modality::VISION, "input.frame")]);
     let values = twin.values([
@@ -562,39 +583,24 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         if step == 0 {
             let found =
                 Tensor::cat(&[posterior.mean().unwrap(), posterior.log_variance().unwrap()], 1).unwrap();
-            assert_close(&found, twin.get("output.posterior"), TOLERANCE, "the posterior");
+            assert_close(&found, twin.get("output.posterior"), TWIN_TOLERANCE, "the posterior");
             let decoded = decoder.decode(&latent, Some(twin.get("action"))).unwrap();
             let vectors = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE].map(|vector| &decoded[&vector]);
             let vectors = Tensor::cat(&vectors, 1).unwrap();
-            assert_close(&vectors, twin.get("output.vector"), TOLERANCE, "the predicted vectors");
+            assert_close(&vectors, twin.get("output.vector"), TWIN_TOLERANCE, "the predicted vectors");
             if frames {
                 assert_close(
                     &decoded[&Modality::FRAME_DIFFERENCE],
                     twin.get("output.frame"),
-                    TOLERANCE,
+                    TWIN_TOLERANCE,
                     "the predicted frames",
                 );
             }
-            let kl = ("kl".to_owned(), kl.clone());
-            let named = terms.iter().map(|term| (term.modality.name().to_owned(), term.value.clone()));
-            for (name, value) in named.chain([kl, ("total".to_owned(), total.clone())]) {
-                let expected = twin.get(&format!("loss.{name}"));
-                assert_close(
-                    &value.reshape(1).unwrap(),
-                    expected,
-                    TOLERANCE,
-                    &format!("the loss term {name}"),
-                );
-            }
-            for (name, parameter) in &parameters {
-                let found = gradients.get(parameter).unwrap_or_else(|| panic!("a gradient of {name}"));
-                assert_close(
-                    found,
-                    twin.get(&format!("grad.{name}")),
-                    TOLERANCE,
-                    &format!("the gradient of {name}"),
-                );
-            }
+            let named = terms.iter().map(|term| (term.modality.name(), &term.value));
+            named
+                .chain([("kl", &kl), ("total", &total)])
+                .for_each(|(name, value)| twin.assert_term(name, value));
+            twin.assert_gradients(&parameters, &gradients);
         }
         adam.step(&gradients).unwrap();
     }

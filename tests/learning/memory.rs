@@ -2,7 +2,7 @@
 
 use super::*;
 use harness_judge::{MetricRow, Persistence, Predictor, Test, judge};
-use harness_learning::network::{Network as Predicting, Posterior, State};
+use harness_learning::network::{Network as Predicting, Posterior, Seen, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
 use harness_ops::{Arithmetic, Recurrence, gru};
@@ -172,6 +172,56 @@ fn assert_gradients_through_time(memory: Memory) {
         });
         assert!(agrees, "{memory}: {name}: {slope}");
     }
+}
+
+/// Two sequences of three samples, each of which predicts two.
+fn assert_memory_agrees_with_its_twin(memory: Memory) {
+    let twin = Twin::load(memory.name(), false, Arithmetic::best());
+    let (network, parameters) = built(&twin.architecture);
+    twin.set(&parameters);
+    let seen = twin.values([(Modality::PROPRIOCEPTION, "input.vector")]);
+    let encoded = network.encode(&seen, &mut Draw::Mean).unwrap();
+    let start = network.start(2, &Device::Cpu).unwrap();
+    let Seen { state, divergence } =
+        network.unroll(2, start.as_ref(), &encoded, twin.get("action"), &mut Draw::Mean).unwrap();
+    let further = network.act(&state, twin.get("further_action")).unwrap();
+    assert_close(state.memory.as_ref().unwrap(), twin.get("output.memory"), TWIN_TOLERANCE, "the memory");
+    let mut total = (&divergence * twin.kl_weight).unwrap();
+    let mut terms: BTreeMap<Modality, Vec<Tensor>> = BTreeMap::new();
+    for (state, target, vector) in
+        [(state, "target", "output.vector"), (further, "further_target", "output.further_vector")]
+    {
+        let decoded = network.decode(&state).unwrap();
+        let vectors = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE].map(|vector| &decoded[&vector]);
+        let vectors = Tensor::cat(&vectors, 1).unwrap();
+        assert_close(&vectors, twin.get(vector), TWIN_TOLERANCE, vector);
+        let [angles, forces] = ["proprioception", "contact_force"].map(|name| format!("{target}.{name}"));
+        let values = twin.values([(Modality::PROPRIOCEPTION, &*angles), (Modality::CONTACT_FORCE, &*forces)]);
+        let targets = Targets { values: &values, losses: &BTreeMap::new() };
+        for term in network.losses(&state, targets).unwrap() {
+            terms.entry(term.modality).or_default().push(term.value);
+        }
+    }
+    for (modality, values) in terms {
+        let mean = Tensor::stack(&values, 0).unwrap().mean_all().unwrap();
+        twin.assert_term(modality.name(), &mean);
+        total = (total + (mean * twin.weights[&modality]).unwrap()).unwrap();
+    }
+    twin.assert_term("kl", &divergence);
+    twin.assert_term("total", &total);
+    twin.assert_gradients(&parameters, &total.backward().unwrap());
+}
+
+#[test]
+fn reference_a_gated_recurrent_unit_agrees_with_pytorch_twin() {
+    assert_memory_agrees_with_its_twin(Memory::Gru);
+}
+
+#[test]
+fn reference_a_state_space_model_agrees_with_pytorch_twin() {
+    let nats = Twin::load("rssm", false, Arithmetic::best()).get("output.nats").to_vec1::<f32>().unwrap();
+    assert!(nats.iter().any(|nats| *nats > 1.0) && nats.iter().any(|nats| *nats < 1.0), "{nats:?}");
+    assert_memory_agrees_with_its_twin(Memory::Rssm);
 }
 
 #[test]
