@@ -176,6 +176,7 @@ fn a_memory_needs_consecutive_samples() {
         (&gru[..1], "needs a context of several samples; use for example window.context: 50, or"),
         (&[gru[0], gru[1], "split.by=sample"], "which a split by sample tears apart; use episode or time"),
         (&[gru[0], gru[1], "split.by=time", "window.start=rest"], "leaves no whole episodes to start from"),
+        (&[gru[0], gru[1], "training.burn_in=50"], "leaves nothing of a context of 50; use less"),
         (
             &["window.since_s=[2,20]"],
             "an episode lasts 20 s; use a shorter time or more actuations_per_episode",
@@ -188,7 +189,10 @@ fn a_memory_needs_consecutive_samples() {
     let json = |overrides: &[&str]| serde_json::to_value(&load(overrides).unwrap().runs()[0]).unwrap();
     assert_eq!(json(&["network.memory=none", "window.start=random"]), json(&[]));
     assert_ne!(json(&gru), json(&gru[1..]));
-    assert_eq!(json(&["training.discount=1", "window.since_s=[]"]), json(&[]));
+    assert_eq!(
+        json(&["training.discount=1", "training.burn_in=0", "training.truncate=null", "window.since_s=[]"]),
+        json(&[])
+    );
     // A sweep may compare contexts.
     let text = format!("{BASE}window: {{context: 5}}\nvary: {{window.context: [5, 50]}}\n");
     let swept = load_with(text, &gru[..1], false).unwrap();
@@ -205,8 +209,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
-             rollout_stride, discount, epochs, last_epoch, patience, stop, kl_weight, losses, loss_weights, \
-             dropout, precision, tiles, device",
+             rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, losses, \
+             loss_weights, dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -1506,6 +1510,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             batch_size: random.random_range(1..=4096),
             rollout_stride: *[1, 10].choose(random).unwrap(),
             discount: *[1.0, 0.7].choose(random).unwrap(),
+            burn_in: *[0, 5].choose(random).unwrap(),
+            truncate: *[None, Some(20)].choose(random).unwrap(),
             epochs: random.random_range(2..=1000),
             last_epoch: if random.random() { None } else { Some(1) },
             patience: if random.random() { Some(random.random_range(1..=100)) } else { None },

@@ -1,12 +1,13 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::NormalizedData;
-use super::network::{Decoder, Draw, Network, Seen, Targets, Term, context, mean};
+use super::network::{Decoder, Draw, Network, Seen, State, Targets, Term, context, mean};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
 use harness_spec::{Modality, Training, Window};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// The name of the Kullback-Leibler divergence among the terms of a loss.
 pub const KL: &str = "kl";
@@ -65,14 +66,9 @@ pub struct Prediction<'a> {
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, training, .. } = self;
-        // The samples of all windows at one time lie together, and those at the first time come first.
-        let mut seen: Vec<Sample> =
-            (0..self.context()).rev().flat_map(|distance| before(at, distance)).collect();
-        let encoded = network.encode(&data.observation(&seen, self.input)?, &mut draw)?;
-        let actions = data.actions(&seen)?;
-        let start = network.start(at.len(), &data.device)?;
-        let Seen { mut state, divergence } =
-            network.unroll(at.len(), start.as_ref(), &encoded, &actions, &mut draw)?;
+        let start = self.burned_in(at, &mut draw)?;
+        let mut seen = times(at, 0..self.trained());
+        let Seen { mut state, divergence } = self.unroll(at.len(), start, &seen, &mut draw)?;
         let mut losses = Vec::new();
         for distance in 1..=window.horizon {
             if distance == 2
@@ -97,12 +93,73 @@ impl Objective for Prediction<'_> {
     }
 
     fn predicted(&self) -> usize {
-        let further = (self.context() * (self.window.horizon - 1)).div_ceil(self.training.rollout_stride);
-        self.context() + further
+        let further = (self.trained() * (self.window.horizon - 1)).div_ceil(self.training.rollout_stride);
+        self.trained() + further
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {
         Box::new(Prediction { network: self.network.detached(), ..*self })
+    }
+}
+
+/// Returns the samples of all windows at these distances before their present samples `at`. Those at one time lie
+/// together, and the first time comes first.
+fn times(at: &[Sample], distances: Range<usize>) -> Vec<Sample> {
+    distances.rev().flat_map(|distance| before(at, distance)).collect()
+}
+
+impl Prediction<'_> {
+    /// Returns the number of samples of a window on which the network is trained: those after the burn-in.
+    fn trained(&self) -> usize {
+        match self.context() {
+            // A network without memory sees one sample, and needs no burn-in.
+            1 => 1,
+            context => context - self.training.burn_in,
+        }
+    }
+
+    /// Returns the state before the first sample on which the network is trained, without gradients; `None` without
+    /// memory.
+    fn burned_in(&self, at: &[Sample], draw: &mut Draw) -> Result<Option<State>> {
+        let start = self.network.start(at.len(), &self.data.device)?;
+        let seen = times(at, self.trained()..self.context());
+        if seen.is_empty() {
+            return Ok(start);
+        }
+        let network = self.network.detached();
+        let encoded = network.encode(&self.data.observation(&seen, self.input)?, draw)?;
+        let actions = self.data.actions(&seen)?;
+        network.unroll(at.len(), start.as_ref(), &encoded, &actions, draw)?.state.last(at.len()).map(Some)
+    }
+
+    /// Returns the states of the samples `seen`, `batch` at each time. Gradients reach back over as many times as
+    /// `training.truncate` says.
+    fn unroll(
+        &self,
+        batch: usize,
+        mut start: Option<State>,
+        seen: &[Sample],
+        draw: &mut Draw,
+    ) -> Result<Seen> {
+        let encoded = self.network.encode(&self.data.observation(seen, self.input)?, draw)?;
+        let actions = self.data.actions(seen)?;
+        let times = seen.len() / batch;
+        let most = self.training.truncate.unwrap_or(times);
+        if most >= times {
+            return self.network.unroll(batch, start.as_ref(), &encoded, &actions, draw);
+        }
+        let (mut states, mut divergences) = (Vec::new(), Vec::new());
+        for first in (0..times).step_by(most) {
+            let part = most.min(times - first);
+            let rows = |tensor: &Tensor| tensor.narrow(0, first * batch, part * batch);
+            let Seen { state, divergence } =
+                self.network.unroll(batch, start.as_ref(), &rows(&encoded)?, &rows(&actions)?, draw)?;
+            start = Some(state.last(batch)?);
+            states.push(state);
+            divergences.push((divergence * (part as f64 / times as f64))?);
+        }
+        let divergence = Tensor::stack(&divergences, 0)?.sum_all()?;
+        Ok(Seen { state: State::joined(&states)?, divergence })
     }
 }
 

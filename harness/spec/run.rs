@@ -297,6 +297,8 @@ impl RunSpec {
                 "clip_norm": training.clip_norm,
                 "rollout_stride": training.rollout_stride,
                 "discount": training.discount,
+                "burn_in": training.burn_in,
+                "truncate": training.truncate,
                 "last_epoch": training.last_epoch,
                 "stop": training.stop,
                 "losses": losses,

@@ -388,6 +388,16 @@ pub struct Training {
     #[serde(skip_serializing_if = "is_one")]
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
     pub discount: f64,
+    /// Number of samples at the beginning of a training sequence that a network with memory sees, but on which it is
+    /// not trained: they have no loss and no gradient. The default is 0.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(max = MAX_WINDOW))]
+    pub burn_in: usize,
+    /// Number of samples over which gradients reach back in a training sequence (truncated backpropagation through
+    /// time). The memory goes on from one such part to the next. `null` means the whole sequence. It is the default.
+    #[serde(skip_serializing_if = "is_default")]
+    #[schemars(range(min = 1, max = MAX_WINDOW))]
+    pub truncate: Option<usize>,
     /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
     pub epochs: usize,
@@ -566,6 +576,8 @@ impl Default for Training {
             batch_size: 1024,
             rollout_stride: 1,
             discount: 1.0,
+            burn_in: 0,
+            truncate: None,
             epochs: 200,
             last_epoch: None,
             patience: Some(20),

@@ -516,7 +516,7 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
 /// Refuses a window or a split that does not suit the memory of the network, or that a network without memory can't
 /// predict.
 fn memory(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { window, simulation, input, output, network, split, .. } = experiment;
+    let Experiment { window, simulation, input, output, network, training, split, .. } = experiment;
     let has_memory = network.memory != Memory::None;
     if has_memory && window.context == 1 {
         return fault(
@@ -526,6 +526,13 @@ fn memory(experiment: &Experiment) -> Result<(), Fault> {
                  network.memory: none",
                 (simulation.samples_per_episode() - window.horizon).clamp(2, 50)
             ),
+        );
+    }
+    if has_memory && training.burn_in >= window.context {
+        let (burn_in, context) = (training.burn_in, window.context);
+        return fault(
+            "training.burn_in",
+            format!("a burn-in of {burn_in} samples leaves nothing of a context of {context}; use less"),
         );
     }
     if has_memory && split.by == Division::Sample {

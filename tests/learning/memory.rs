@@ -288,22 +288,98 @@ fn further_predictions_weigh_less_by_the_discount() {
     assert_eq!(loss(1, 0.7), first);
 }
 
-/// The mean loss of all distances up to the horizon, of the network that `built` makes.
-fn plain_mean(
+/// The terms of a loss over two sequences of six samples, each of which predicts three, and the gradients of the sum.
+fn terms_and_gradients(
     bench: &Bench,
     architecture: &Architecture,
-    at: &[Sample],
-    context: usize,
+    training: &Training,
+) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
+    let (network, parameters) = built(architecture);
+    let window = Window { context: 6, horizon: 3, ..Window::TRANSITION };
+    let objective = objective(bench, network, &window, training);
+    let terms = objective.terms(&[Sample::at(6), Sample::at(24)], Draw::Mean).unwrap();
+    let values: Vec<Tensor> = terms.into_iter().map(|term| term.value).collect();
+    gradients_of(&values, &parameters)
+}
+
+/// The values of scalars, and the gradients of their sum.
+fn gradients_of(values: &[Tensor], parameters: &Parameters) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
+    let total = Tensor::stack(values, 0).unwrap().sum_all().unwrap();
+    let gradients = total.backward().unwrap();
+    let gradient = |var: &Var| gradients.get(var).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+    let gradients = parameters.iter().map(|(name, var)| (name.clone(), gradient(var))).collect();
+    (values.iter().map(|value| value.to_scalar().unwrap()).collect(), gradients)
+}
+
+/// The largest difference between two lists of numbers.
+fn difference<'a>(one: impl IntoIterator<Item = &'a f32>, other: impl IntoIterator<Item = &'a f32>) -> f32 {
+    one.into_iter().zip(other).map(|(one, other)| (one - other).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn truncated_gradients_change_no_value() {
+    for memory in MEMORIES {
+        let (bench, architecture) = bench(memory);
+        let of = |truncate| {
+            let training = Training { truncate, ..settings() };
+            terms_and_gradients(&bench, &architecture, &training)
+        };
+        let whole = of(None);
+        assert_eq!(of(Some(6)), whole, "{memory}: to the last bit");
+        for truncate in [1, 4, 5] {
+            let (values, gradients) = of(Some(truncate));
+            assert!(difference(&values, &whole.0) < 1e-6, "{memory} {truncate}: {values:?} {:?}", whole.0);
+            let difference = difference(gradients.values().flatten(), whole.1.values().flatten());
+            assert!(difference > 1e-5, "{memory} {truncate}: the gradients differ by {difference}");
+        }
+    }
+}
+
+#[test]
+fn a_burn_in_has_no_loss_and_no_gradient() {
+    for memory in MEMORIES {
+        let (bench, architecture) = bench(memory);
+        let training = Training { burn_in: 4, ..settings() };
+        let (values, gradients) = terms_and_gradients(&bench, &architecture, &training);
+        // Two more samples are seen after a constant state, which is that of single steps.
+        let (network, parameters) = built(&architecture);
+        let data = &bench.data;
+        let constant = [(1, 4), (19, 22)].map(|(first, last)| {
+            let state = stepped(&bench, &*network, first, last);
+            network.act(&state, &data.actions(&[Sample::at(last)]).unwrap()).unwrap()
+        });
+        let both = |of: fn(&State) -> &Tensor| Tensor::cat(&constant.each_ref().map(of), 0).unwrap().detach();
+        let start = State {
+            latent: both(|state| &state.latent),
+            action: Some(both(|state| state.action.as_ref().unwrap())),
+            memory: Some(both(|state| state.memory.as_ref().unwrap())),
+        };
+        let seen = [5, 23, 6, 24].map(Sample::at);
+        let [loss, divergence] = losses_after(&bench, &*network, Some(&start), &seen, 2, 3);
+        let expected = gradients_of(&[loss, divergence], &parameters);
+        assert!(difference(&values, &expected.0) < 1e-6, "{memory}: {values:?} {:?}", expected.0);
+        let difference = difference(gradients.values().flatten(), expected.1.values().flatten());
+        assert!(difference < 1e-5, "{memory}: {difference}");
+        // A step takes more windows, because each has fewer predictions: two samples that predict three.
+        let window = Window { context: 6, horizon: 3, ..Window::TRANSITION };
+        assert_eq!(objective(&bench, network, &window, &training).predicted(), 2 * 3);
+    }
+}
+
+/// The mean loss of the samples after those that are seen, `batch` at each time, and the divergence.
+fn losses_after(
+    bench: &Bench,
+    network: &dyn Predicting,
+    start: Option<&State>,
+    seen: &[Sample],
+    batch: usize,
     horizon: usize,
-) -> f32 {
-    let (network, _) = built(architecture);
+) -> [Tensor; 2] {
     let data = &bench.data;
-    let seen: Vec<Sample> =
-        (0..context).rev().flat_map(|distance| at.iter().map(move |last| last.before(distance))).collect();
-    let encoded = network.encode(&data.observation(&seen, &ANGLES).unwrap(), &mut Draw::Mean).unwrap();
-    let (start, actions) = (network.start(at.len(), &Device::Cpu).unwrap(), data.actions(&seen).unwrap());
-    let mut state =
-        network.unroll(at.len(), start.as_ref(), &encoded, &actions, &mut Draw::Mean).unwrap().state;
+    let encoded = network.encode(&data.observation(seen, &ANGLES).unwrap(), &mut Draw::Mean).unwrap();
+    let actions = data.actions(seen).unwrap();
+    let Seen { mut state, divergence } =
+        network.unroll(batch, start, &encoded, &actions, &mut Draw::Mean).unwrap();
     let ahead = |distance| seen.iter().map(|sample| sample.after(distance)).collect::<Vec<_>>();
     let losses = (1..=horizon).map(|distance| {
         if distance > 1 {
@@ -314,7 +390,23 @@ fn plain_mean(
         network.losses(&state, targets).unwrap().remove(0).value
     });
     let losses: Vec<Tensor> = losses.collect();
-    Tensor::stack(&losses, 0).unwrap().mean_all().unwrap().to_scalar().unwrap()
+    [Tensor::stack(&losses, 0).unwrap().mean_all().unwrap(), divergence]
+}
+
+/// The mean loss of all distances up to the horizon, of the network that `built` makes.
+fn plain_mean(
+    bench: &Bench,
+    architecture: &Architecture,
+    at: &[Sample],
+    context: usize,
+    horizon: usize,
+) -> f32 {
+    let (network, _) = built(architecture);
+    let seen: Vec<Sample> =
+        (0..context).rev().flat_map(|distance| at.iter().map(move |last| last.before(distance))).collect();
+    let start = network.start(at.len(), &Device::Cpu).unwrap();
+    let [loss, _] = losses_after(bench, &*network, start.as_ref(), &seen, at.len(), horizon);
+    loss.to_scalar().unwrap()
 }
 
 /// The state of a sample, step by step from an earlier one.

@@ -220,6 +220,22 @@ impl State {
         })
     }
 
+    /// Returns the states of the last `batch` rows, without gradients.
+    ///
+    /// # Errors
+    /// When there are fewer rows.
+    pub(crate) fn last(&self, batch: usize) -> Result<Self> {
+        let all = self.latent.dim(0)?;
+        let Some(first) = all.checked_sub(batch) else { candle_core::bail!("there are {all} states") };
+        let last = self.rows(&(first as u32..all as u32).collect::<Vec<_>>())?;
+        let detached = |part: Option<Tensor>| part.map(|values| values.detach());
+        Ok(Self {
+            latent: last.latent.detach(),
+            action: detached(last.action),
+            memory: detached(last.memory),
+        })
+    }
+
     /// Returns the states of these rows of the batch.
     ///
     /// # Errors
