@@ -13,7 +13,9 @@ idle machine.
 
 Training compares one step of the paper's networks with PyTorch (training_step.py), and with the step's matrix products
 alone, computed by gemm (the example `products`) and by PyTorch (products.py). It also compares one step of a deep
-network, with and without the processor's tile unit, with PyTorch in both of its memory formats.
+network, with and without the processor's tile unit, with PyTorch in both of its memory formats, and one step of a
+network with a gated recurrent unit, over 20 sequences of 50 samples, with PyTorch's nn.GRU and with a loop over its
+cells, on one core and on all.
 
 Collection compares the whole command `harness collect`, including its start and writing to disk, with Python's `mujoco`
 (collect.py), PyBullet (pybullet_collect.py), and MuJoCo's functions called from C without recording (raw_limit.c). The
@@ -56,6 +58,9 @@ CORES = report.cores()
 # The convolutions of multi_to_multi_best.yaml.
 DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
 DEEP_STEPS = 8
+# 20 sequences of 50 samples.
+RECURRENT = ("--memory", "gru", "--context", 50, "--batch", 1000, "--hidden", 256, "--latent", 64)
+RECURRENT_TARGET = 1.5
 UNTUNED_SAMPLES = 100  # at about 20 samples per second
 PYBULLET_SAMPLES = 300  # of each episode
 
@@ -126,7 +131,16 @@ PAPER_NETWORKS = (
 
 def training() -> list[Comparison]:
     paper = [paper_step(network, latent) for network in PAPER_NETWORKS for latent in network.latents]
-    return [*paper, deep_step("with tiles", 2.5), deep_step("without tiles", 1.8, "--no-tiles")]
+    deep = [deep_step("with tiles", 2.5), deep_step("without tiles", 1.8, "--no-tiles")]
+    recurrent = [
+        recurrent_step(f"{inputs}, {tiles}", (*layers, *steps), *options)
+        for inputs, layers, steps in (
+            ("vectors", (), ("--steps", 50)),
+            ("camera", ("--channels", 16), ("--steps", 8)),
+        )
+        for tiles, options in (("with tiles", ()), ("without tiles", ("--no-tiles",)))
+    ]
+    return [*paper, *deep, *recurrent]
 
 
 def harness_step(*options) -> Callable[[], float]:
@@ -177,6 +191,28 @@ def deep_step(name: str, target: float, *options) -> Comparison:
             *(
                 Contender(f"PyTorch eager, {shown}", pytorch_step(*work, "--memory-format", value), target)
                 for shown, value in formats.items()
+            ),
+        ),
+    )
+
+
+def recurrent_step(name: str, layers: tuple, *options) -> Comparison:
+    """The target is the same for all settings of PyTorch, so it also applies to the fastest one."""
+    work = (*RECURRENT, *layers)
+    ways = {"nn.GRU": "module", "a loop over nn.GRUCell": "cells"}
+    return Comparison(
+        f"training step, recurrent, {name}, latent 64, 20 x 50 samples",
+        "s",
+        (
+            Contender("harness", harness_step(*work, *options)),
+            *(
+                Contender(
+                    f"PyTorch eager, {shown}, {threads} thread{'s' * (threads > 1)}",
+                    pytorch_step(*work, "--recurrence", value, "--threads", threads),
+                    RECURRENT_TARGET,
+                )
+                for shown, value in ways.items()
+                for threads in sorted({1, CORES})
             ),
         ),
     )

@@ -1,4 +1,4 @@
-"""Times one PyTorch training step of the harness's CVAE on the CPU, for comparison with the harness.
+"""Times one PyTorch training step of the harness's networks on the CPU, for comparison with the harness.
 
 A step does the same as the harness does for one batch: draw the noise, forward pass, loss, backward pass, fused Adam
 (1e-3). Inputs and targets are random, standardized f32. Run it on an otherwise idle machine:
@@ -6,6 +6,7 @@ A step does the same as the harness does for one batch: draw the noise, forward 
     .venv-bench/bin/python harness/benches/training_step.py --channels 16 --latent 64  # the paper's network
     .venv-bench/bin/python harness/benches/training_step.py --channels 8 16 32 32 --fusion late  # a deep network
     .venv-bench/bin/python harness/benches/training_step.py --latent 4  # a network for vectors
+    .venv-bench/bin/python harness/benches/training_step.py --memory gru --context 50 --batch 1000  # 20 sequences
 
 Prints JSON, with times in wall-clock seconds.
 """
@@ -18,15 +19,25 @@ import time
 from pathlib import Path
 
 import torch
+from torch import Tensor, nn
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "fixtures"))
-from twin import Cvae, Dimensions, loss_terms, random_batch  # noqa: E402
+from twin import (  # noqa: E402
+    ACTION_SIZE,
+    Cvae,
+    Decoder,
+    Dimensions,
+    EarlyEncoder,
+    LateEncoder,
+    loss_terms,
+    random_batch,
+)
 
 WARM_UP_STEPS = 3
 
 
 def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Times one PyTorch training step of the harness's CVAE.")
+    parser = argparse.ArgumentParser(description="Times one PyTorch training step of a network of the harness.")
     parser.add_argument(
         "--channels",
         type=int,
@@ -44,16 +55,64 @@ def arguments() -> argparse.Namespace:
         help="bf16: forward pass with autocast, f32 parameters",
     )
     parser.add_argument("--latent", type=int, default=64)
+    parser.add_argument("--memory", choices=["none", "gru"], default="none")
+    parser.add_argument(
+        "--recurrence",
+        choices=["module", "cells"],
+        default="module",
+        help="the gated recurrent unit: nn.GRU over whole sequences, or a loop over nn.GRUCell",
+    )
+    parser.add_argument("--context", type=int, default=1, help="samples in a sequence")
     parser.add_argument(
         "--memory-format",
         choices=["contiguous", "channels_last"],
         default="contiguous",
         help="how images and convolutions' weights are stored in memory",
     )
-    parser.add_argument("--batch", type=int, default=1024)
+    parser.add_argument("--batch", type=int, default=1024, help="samples in a step: those of whole sequences")
     parser.add_argument("--steps", type=int, default=10, help=f"timed steps, after {WARM_UP_STEPS} untimed steps")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     return parser.parse_args()
+
+
+class Recurrent(nn.Module):
+    """The CVAE with a gated recurrent unit between the encoder and the posterior.
+
+    The rows of one time lie together. The unit takes the encoded sample, a one because there is a sample, and the
+    action before it.
+    """
+
+    def __init__(self, sizes: Dimensions, sequences: int, recurrence: str):
+        super().__init__()
+        inputs, width = 2 * sizes.latent + 1 + ACTION_SIZE, sizes.hidden[-1]
+        self.sequences = sequences
+        self.encoder = LateEncoder(sizes) if sizes.fusion == "late" else EarlyEncoder(sizes)
+        self.unit = nn.GRU(inputs, width) if recurrence == "module" else nn.GRUCell(inputs, width)
+        self.posterior = nn.Linear(width, 2 * sizes.latent)
+        self.decoder = Decoder(sizes)
+
+    def states(self, inputs: Tensor) -> Tensor:
+        """Of the unit at each time, `[times, sequences, width]`, from zero."""
+        if isinstance(self.unit, nn.GRU):
+            return self.unit(inputs)[0]
+        state = inputs.new_zeros(self.sequences, self.unit.hidden_size)
+        states = []
+        for now in inputs:
+            state = self.unit(now, state)
+            states.append(state)
+        return torch.stack(states)
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        encoded, action = self.encoder(batch["input.vector"], batch.get("input.frame")), batch["action"]
+        before = torch.cat([action.new_zeros(self.sequences, ACTION_SIZE), action[: -self.sequences]])
+        inputs = torch.cat([encoded, encoded.new_ones(len(encoded), 1), before], dim=1)
+        states = self.states(inputs.unflatten(0, (-1, self.sequences)))
+        posterior = self.posterior(states.flatten(0, 1))
+        mean, log_variance = posterior.chunk(2, dim=1)
+        latent = mean + torch.exp(log_variance / 2) * batch["noise"]
+        vector, frame = self.decoder(latent, action)
+        outputs = {"output.posterior": posterior, "output.vector": vector}
+        return outputs if frame is None else outputs | {"output.frame": frame}
 
 
 def timed_steps(options: argparse.Namespace) -> list[float]:
@@ -67,7 +126,12 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
         latent=options.latent,
         fusion=options.fusion,
     )
-    model = Cvae(sizes)
+    if options.batch % options.context:
+        raise SystemExit(f"{options.batch} samples are no whole sequences of {options.context}")
+    if options.memory == "gru":
+        model = Recurrent(sizes, options.batch // options.context, options.recurrence)
+    else:
+        model = Cvae(sizes)
     batch = random_batch(sizes, options.batch)
     if options.memory_format == "channels_last":
         model = model.to(memory_format=torch.channels_last)

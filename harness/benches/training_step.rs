@@ -3,12 +3,13 @@
 //!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's network
 //!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # a deep
 //!     network cargo run --release --example training_step -- --latent 4  # a network for vectors
+//!     cargo run --release --example training_step -- --memory gru --context 50 --batch 1000  # 20 sequences
 //!
 //! Prints one line of JSON with the median, the least and the greatest number of seconds per step.
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
-use harness::learning::network::{Architecture, Observation, Parameters, Targets, Value};
+use harness::learning::network::{Architecture, Draw, Observation, Parameters, Seen, Targets, Value};
 use harness::learning::random::{Random, Stream};
 use harness::ops::Adam;
 use harness::ops::arithmetic;
@@ -35,7 +36,13 @@ struct Arguments {
     /// Size of the latent state.
     #[arg(long, default_value_t = 64)]
     latent: usize,
-    /// Number of samples in a step.
+    /// none, window, gru or rssm
+    #[arg(long, default_value = "none", value_parser = memory)]
+    memory: Memory,
+    /// Number of samples in a sequence, which a network with memory sees one after the other.
+    #[arg(long, default_value_t = 1)]
+    context: usize,
+    /// Number of samples in a step: those of whole sequences.
     #[arg(long, default_value_t = 1024)]
     batch: usize,
     /// Number of timed steps.
@@ -52,6 +59,11 @@ struct Arguments {
 fn fusion(name: &str) -> Result<Fusion, String> {
     let found = Fusion::ALL.iter().copied().find(|fusion| fusion.name() == name);
     found.ok_or_else(|| format!("'{name}' is neither early nor late"))
+}
+
+fn memory(name: &str) -> Result<Memory, String> {
+    let found = Memory::ALL.iter().copied().find(|memory| memory.name() == name);
+    found.ok_or_else(|| format!("'{name}' is neither none, window, gru nor rssm"))
 }
 
 fn precision(name: &str) -> Result<Precision, String> {
@@ -83,21 +95,23 @@ fn main() -> candle_core::Result<()> {
             channels: Some(arguments.channels.clone()),
             average: 1,
             fusion: arguments.fusion,
-            memory: Memory::None,
+            memory: arguments.memory,
             memory_samples: 5,
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
     };
     let batch = arguments.batch;
+    if !batch.is_multiple_of(arguments.context) {
+        candle_core::bail!("{batch} samples are no whole sequences of {}", arguments.context);
+    }
+    let sequences = batch / arguments.context;
     let mut random = Random::new(0, Stream::Parameters(Task::Prediction));
     let mut parameters = Parameters::new();
-    let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?;
-    let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?;
+    let network = architecture.network(&mut parameters, &mut random, &Device::Cpu)?;
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
     let mut matrix =
         |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
-    let (vector_seen, action, noise, target) =
-        (matrix(20)?, matrix(layout.action().len())?, matrix(arguments.latent)?, matrix(40)?);
+    let (vector_seen, actions, target) = (matrix(20)?, matrix(layout.action().len())?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
         Ok(Arc::new(DenseFrames::new(&Tensor::from_vec(values, (batch, 3, 64, 64), &Device::Cpu)?)?))
@@ -117,10 +131,13 @@ fn main() -> candle_core::Result<()> {
     let mut seconds = Vec::with_capacity(arguments.steps);
     for _ in 0..arguments.steps + 2 {
         let begin = Instant::now();
-        let posterior = encoder.encode(&observation)?;
-        let latent = posterior.sample(&noise)?;
-        let mut loss = (posterior.kl_divergence()? * 1e-3)?;
-        for term in decoder.losses(&latent, Some(&action), targets)? {
+        let draw = &mut Draw::Sample { random: &mut random, dropout: 0.0 };
+        let encoded = network.encode(&observation, draw)?;
+        let start = network.start(sequences, &Device::Cpu)?;
+        let Seen { state, divergence } =
+            network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
+        let mut loss = (divergence * 1e-3)?;
+        for term in network.losses(&state, targets)? {
             loss = (loss + term.value)?;
         }
         adam.step(&loss.backward()?)?;
@@ -133,7 +150,8 @@ fn main() -> candle_core::Result<()> {
         "{}",
         serde_json::json!({
             "channels": arguments.channels, "fusion": arguments.fusion.name(), "hidden": arguments.hidden,
-            "latent": arguments.latent, "batch": batch, "unit": format!("{:?}", architecture.arithmetic.unit),
+            "latent": arguments.latent, "memory": arguments.memory.name(), "context": arguments.context,
+            "batch": batch, "unit": format!("{:?}", architecture.arithmetic.unit),
             "median_seconds": seconds[seconds.len() / 2], "min": seconds[0], "max": seconds[seconds.len() - 1],
             "threads": rayon::current_num_threads(),
         })

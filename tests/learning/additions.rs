@@ -15,8 +15,7 @@ use harness_metrics::Metric;
 use harness_spec::WindowStart;
 
 /// The window of these tests.
-const WINDOW: Window =
-    Window { context: 3, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
+const WINDOW: Window = Window { context: 3, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
 
 /// The registration of what these tests add.
 struct Added {
