@@ -542,7 +542,7 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
 }
 
 #[test]
-fn differences_from_a_column_are_those_of_runs_with_the_same_dataset_and_seed() {
+fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     let results = fresh("compare_difference");
     let settings = [
         "scenarios=[empty]",

@@ -612,7 +612,7 @@ fn sequences_cover_their_episodes_without_overlap() {
 }
 
 #[test]
-fn the_objects_of_a_set_share_the_mean_and_deviation_of_each_value() {
+fn the_objects_of_a_set_share_means_and_deviations() {
     let mut layout = Layout::clone(&Layout::finger());
     for force in [Modality::CONTACT_FORCE, Modality::CONTACT_FORCE_MEAN] {
         let place = layout.position(force).unwrap();

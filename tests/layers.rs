@@ -1,4 +1,5 @@
-//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates. The length of lines.
+//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates. The sizes of
+//! crates, and the lengths of lines and of names of tests.
 
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -164,12 +165,55 @@ fn a_change_of_any_crate_of_the_report_renders_its_pictures() {
     }
 }
 
+#[test]
+fn no_crate_has_more_than_6000_lines() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut lines = BTreeMap::<&str, usize>::new();
+    for file in tracked(&["harness/*.rs", ":!harness/benches"]) {
+        let (_, path) = file.split_once('/').unwrap();
+        let layer = LAYERS.iter().find(|layer| path.starts_with(&format!("{}/", layer.name)));
+        let text = std::fs::read_to_string(root.join(&file)).unwrap();
+        *lines.entry(layer.map_or("harness", |layer| layer.name)).or_default() += text.lines().count();
+    }
+    assert_eq!(lines.len(), LAYERS.len() + 1);
+    lines.retain(|_, lines| *lines > 6000);
+    assert!(lines.is_empty(), "{lines:?}");
+}
+
+#[test]
+fn names_of_tests_have_at_most_60_characters() {
+    let (mut found, mut long) = (0, Vec::new());
+    for file in tracked(&["*.rs", "*.py"]) {
+        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(&file)).unwrap();
+        let is_python = file.ends_with(".py");
+        let names = text.lines().zip(text.lines().skip(1)).filter_map(|(before, line)| match is_python {
+            true => line.trim_start().strip_prefix("def ").filter(|name| name.starts_with("test_")),
+            false => line.trim_start().strip_prefix("fn ").filter(|_| before.trim_start().starts_with("#[")),
+        });
+        for name in names.filter_map(|line| line.split(['(', '<']).next()) {
+            found += 1;
+            if name.trim_start_matches("test_").len() > 60 {
+                long.push(format!("{file}: {name}"));
+            }
+        }
+    }
+    assert!(found > 500 && long.is_empty(), "{found} names, of which are too long: {long:#?}");
+}
+
+/// The files of git that match these patterns.
+fn tracked(patterns: &[&str]) -> Vec<String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let files = Command::new("git").arg("ls-files").args(patterns).current_dir(root).output().unwrap();
+    let files = String::from_utf8(files.stdout).unwrap();
+    files.lines().filter(|file| root.join(file).exists()).map(str::to_owned).collect()
+}
+
 /// Tables, code, links and generated text of Markdown, queries in YAML, and URLs can't be wrapped. Hashes contain
 /// the worlds in models/.
 #[test]
 fn no_line_is_too_long() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let files = [
+    let files = tracked(&[
         "*.rs",
         "*.md",
         "*.py",
@@ -180,11 +224,10 @@ fn no_line_is_too_long() {
         ".ci",
         ":!models/*.yaml",
         ":!models/*.py",
-    ];
-    let files = Command::new("git").arg("ls-files").args(files).current_dir(root).output().unwrap();
+    ]);
     let mut long = Vec::new();
-    for file in String::from_utf8(files.stdout).unwrap().lines().filter(|file| root.join(file).exists()) {
-        let text = std::fs::read_to_string(root.join(file)).unwrap();
+    for file in files {
+        let text = std::fs::read_to_string(root.join(&file)).unwrap();
         let end = file.rsplit_once('.').map_or("", |(_, end)| end);
         let mut is_code = false;
         for (index, line) in text.lines().enumerate() {

@@ -1110,7 +1110,7 @@ fn roles_keep_the_order_of_the_spec() {
 }
 
 #[test]
-fn settings_of_own_worlds_and_modalities_are_taken_by_dotted_key() {
+fn own_worlds_and_modalities_have_settings_by_dotted_key() {
     let text = BASE
         .replace("[proprioception, contact_force]", "[proprioception, grip]")
         .replace("cluttered", "own.yaml")

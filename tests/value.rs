@@ -22,7 +22,7 @@ fn numbers(results: &Path, sql: &str) -> BTreeMap<String, f64> {
 }
 
 #[test]
-fn an_oracle_and_a_camera_tell_a_force_that_depends_on_an_unseen_height() {
+fn an_oracle_and_a_camera_tell_a_force_of_an_unseen_height() {
     let results = fresh("value");
     for name in ["dome/dome.xml", "dome/dome.yaml", "dome/value.yaml"] {
         fs::create_dir_all(results.join("dome")).unwrap();

@@ -125,7 +125,7 @@ fn stiffness_damping_mass_and_friction_act_by_mechanical_laws() {
 }
 
 #[test]
-fn strength_multiplies_the_forces_of_actuators_and_gravity_the_weights() {
+fn strength_scales_forces_of_actuators_and_gravity_weights() {
     let (time, gravity) = (3.9f64, 9.81);
     let episode = on_bench(&["twice_as_strong", "half_the_gravity"]);
     let ([spring, _, load, sled], [_, damper, _, _]): ([f32; 4], [f32; 4]) =
