@@ -1,11 +1,12 @@
 //! Times one training step of a network on random data. training_step.py does the same in PyTorch.
 //!
-//!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20  # the paper's network
-//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256  # a deep
-//!     network cargo run --release --example training_step -- --latent 4  # a network for vectors
-//!     cargo run --release --example training_step -- --memory gru --context 50 --batch 1000  # 20 sequences
+//!     cargo run --release --example training_step -- --channels 16 --latent 64 --steps 20
+//!     cargo run --release --example training_step -- --channels 8 16 32 32 --fusion late --hidden 256
+//!     cargo run --release --example training_step -- --latent 4
+//!     cargo run --release --example training_step -- --memory gru --context 50 --batch 1000
 //!
-//! Prints one line of JSON with the median, the least and the greatest number of seconds per step.
+//! The commands time the paper's network, a deep network, a network for vectors, and a recurrent one on 20 sequences.
+//! Each prints one line of JSON with the median, the least and the greatest number of seconds per step.
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
