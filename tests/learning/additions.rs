@@ -13,6 +13,8 @@ use harness_learning::network::{Cvae, Network as Predicting};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
 use harness_spec::WindowStart;
+use harness_tables::read_predicted;
+use std::path::PathBuf;
 
 /// The window of these tests.
 const WINDOW: Window = Window { context: 3, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
@@ -22,6 +24,7 @@ struct Added {
     network: Box<dyn Predicting>,
     fusion: Box<dyn Encoder>,
     baseline: Box<dyn Predictor>,
+    predictions: PathBuf,
 }
 
 impl Added {
@@ -40,6 +43,7 @@ impl Added {
             network: Box::new(network),
             fusion: Box::new(toy_fusion::Product(encoder(INPUT[0]), encoder(INPUT[1]))),
             baseline: Box::new(toy_baseline::Zero(Modality::ARM, ARM_JOINTS, WINDOW.horizons())),
+            predictions: tests().join("toy_predictions.csv"),
         };
         (added, parameters)
     }
@@ -70,6 +74,11 @@ fn fitted(
     };
     let epochs = fit.run(&objective, parameters).unwrap();
     epochs.iter().map(|epoch| epoch.train[TOTAL]).collect()
+}
+
+/// The folder of these tests.
+fn tests() -> PathBuf {
+    Path::new(ROOT).join("tests/learning")
 }
 
 fn judged(bench: &Bench, predictor: &dyn Predictor, window: &Window) -> Judged {
@@ -185,6 +194,32 @@ fn an_added_fusion_of_two_encoders_is_trained() {
 }
 
 #[test]
+fn added_predictions_of_another_program_are_judged() {
+    let bench = Bench::new();
+    let (Added { predictions, .. }, _) = Added::new(&bench);
+    let mut rows = read_predicted(&predictions).unwrap();
+    let values = rows.remove(&None).unwrap().into_iter().map(|row| RecordedValue {
+        modality: row.modality,
+        episode: row.episode,
+        sample: row.sample,
+        horizon: row.horizon,
+        index: row.index,
+        value: row.value,
+    });
+    let window = Window::TRANSITION;
+    let (samples, windows) = (&*bench.data.samples, &bench.partition.test);
+    let recorded = Recorded::new("constant", samples, windows, values).unwrap();
+    let found = judged(&bench, &recorded, &window);
+    // All values in the file are 0.
+    let zeros = BTreeMap::from([((Modality::ARM, 1), vec![0.0; windows.len() * ARM_JOINTS])]);
+    let zero = judged(&bench, &Recorded::of_windows("zero", samples, windows, zeros).unwrap(), &window);
+    let numbers = |judged: &Judged| judged.metrics.iter().map(|row| row.row.clone()).collect::<Vec<_>>();
+    assert_eq!(numbers(&found), numbers(&zero));
+    assert!(found.metrics.iter().all(|row| row.model == "constant"));
+    assert!(r2(&found, 1) < 0.0);
+}
+
+#[test]
 fn recorded_predictions_get_the_metrics_of_their_network() {
     let bench = Bench::new();
     let (_, parameters) = bench.train_undisturbed(0);
@@ -250,7 +285,7 @@ fn files_with(folder: &Path, word: &str) -> Vec<String> {
 
 #[test]
 fn an_addition_takes_one_file_and_one_registration() {
-    let tests = Path::new(ROOT).join("tests/learning");
+    let tests = tests();
     for (name, file) in
         [("Integrator", "toy_network.rs"), ("Product", "toy_fusion.rs"), ("Zero", "toy_baseline.rs")]
     {
@@ -258,6 +293,9 @@ fn an_addition_takes_one_file_and_one_registration() {
         let registrations = include_str!("additions.rs").matches(&format!("::{name}")).count();
         assert_eq!(registrations, 1, "{name}");
     }
+    let predictions = format!("toy_{}.csv", "predictions");
+    assert!(tests.join(&predictions).exists());
+    assert_eq!(include_str!("additions.rs").matches(&predictions).count(), 1);
     // What the harness itself has is in its own file, in the list of its folder, and where it is chosen.
     let harness = Path::new(ROOT).join("harness");
     for (name, files) in [
