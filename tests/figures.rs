@@ -8,9 +8,10 @@ use harness::collection::dataset_of;
 use harness::figures::Figure;
 use harness::figures::page::{Anchor, Page, Stroke, Type};
 use harness::figures::source::{integers, texts};
+use harness::learning::network::architecture;
 use harness::registry::Registry;
 use harness::simulation::Scene;
-use harness::spec::{Modality, Scenario, Simulation};
+use harness::spec::{Modality, Scenario, Simulation, Task};
 use harness::tables::TableFile;
 use polars::prelude::*;
 use resvg::usvg::{self, roxmltree};
@@ -128,6 +129,98 @@ fn diagrams_of_networks_without_a_camera_have_one_column() {
         assert_eq!([count("convolution"), count("fully conn.")], [0, 0]);
         assert_eq!(count("2 or 4\""), 1);
     }
+}
+
+/// Rectangles with a border, which are the blocks of a diagram: left, top, right and bottom, in points.
+fn blocks(svg: &str) -> Vec<[f64; 4]> {
+    let document = roxmltree::Document::parse(svg).unwrap();
+    let boxes = document.descendants().filter(|node| node.has_tag_name("rect") && node.has_attribute("rx"));
+    let edges = |node: roxmltree::Node| {
+        let [x, y, width, height] =
+            ["x", "y", "width", "height"].map(|name| node.attribute(name).unwrap().parse::<f64>().unwrap());
+        [x, y, x + width, y + height]
+    };
+    boxes.map(edges).collect()
+}
+
+fn assert_apart(svg: &str) {
+    let blocks = blocks(svg);
+    assert!(blocks.len() > 6, "{blocks:?}");
+    for (index, a) in blocks.iter().enumerate() {
+        for b in &blocks[index + 1..] {
+            assert!(a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1], "{a:?} covers {b:?}");
+        }
+    }
+}
+
+/// The SVG and the CSV file of a diagram of an experiment's networks.
+fn diagram(results: &Path, experiment: &str, figure: Figure) -> (String, DataFrame) {
+    let out = results.join("figures");
+    let name = figure.name();
+    succeed(results, &["figures", name, "--multi", experiment, "--output", out.to_str().unwrap()]);
+    let table = CsvReader::new(fs::File::open(out.join(format!("{name}.csv"))).unwrap()).finish().unwrap();
+    let svg = String::from_utf8(read(&out, figure, "svg")).unwrap();
+    assert_whole(&svg, name);
+    assert_apart(&svg);
+    (svg, table)
+}
+
+/// The number of parameters of the only run of a results folder, by the layers that its network lists.
+fn parameters_of(results: &Path) -> usize {
+    let [(_, record)] = &Registry::new(results).recorded()[..] else { panic!("one run") };
+    let trained = record.spec.trained().unwrap();
+    let architecture = architecture(&record.spec, trained, &record.layout, Task::Prediction);
+    architecture.summary().unwrap().parameters()
+}
+
+#[test]
+fn diagrams_show_the_memory_of_a_network() {
+    for (memory, expected) in [
+        ("gru", [("gated recurrent unit", 1), ("last ", 0), ("not seen", 0), ("with a", 1)]),
+        ("window", [("gated recurrent unit", 0), ("last 5 samples", 1), ("not seen", 0), ("each with a", 1)]),
+        ("rssm", [("GRU", 1), ("last ", 0), ("not seen", 1), ("with z", 1)]),
+    ] {
+        let results = fresh(&format!("figures_{memory}"));
+        let setting = format!("network.memory={memory}");
+        let more = [
+            "latent=[4]",
+            "scenarios=[empty]",
+            "seeds=[0]",
+            "window.context=8",
+            "window.horizon=2",
+            &setting,
+        ];
+        run(&results, SINGLE, &more);
+        // A reconstruction is of samples that are seen.
+        let (seen, _) = diagram(&results, "single_to_multi", Figure::InformationLossArch);
+        assert!(seen.contains("with memory, frozen") && !seen.contains("not seen"));
+        let (svg, table) = diagram(&results, "single_to_multi", Figure::PredictiveArch);
+        let count = |words: &str| svg.matches(&format!("aria-label=\"{words}")).count();
+        assert_eq!(expected.map(|(words, _)| (words, count(words))), expected, "{memory}");
+        assert_eq!(count("fusion encoder f with memory"), 1);
+        let drawn: u64 = table.column("values").unwrap().as_materialized_series().sum().unwrap();
+        assert_eq!(drawn as usize, parameters_of(&results), "{memory}");
+        let names = table.column("parameter").unwrap().str().unwrap();
+        assert!(names.iter().flatten().any(|name| name.starts_with("memory.")), "{memory}");
+    }
+}
+
+#[test]
+fn diagrams_show_what_the_objects_of_a_set_share() {
+    let results = fresh("figures_set");
+    let more = [
+        "latent=[4]",
+        "scenarios=[crowded]",
+        "seeds=[0]",
+        "tasks=[prediction]",
+        "input=[proprioception, arm, pillars_from_arm]",
+        "network.fusion=late",
+    ];
+    run(&results, SINGLE, &more);
+    let (svg, table) = diagram(&results, "single_to_multi", Figure::PredictiveArch);
+    assert_eq!(svg.matches("aria-label=\"sum and maximum of").count(), 1);
+    let drawn: u64 = table.column("values").unwrap().as_materialized_series().sum().unwrap();
+    assert_eq!(drawn as usize, parameters_of(&results));
 }
 
 #[test]

@@ -5,12 +5,14 @@ use super::source::{Source, Study};
 use candle_core::Device;
 use harness_learning::LearningError;
 use harness_learning::network::description::{
-    Activation, Convolution, IMAGES, LATENT, Layer, Operation, POSTERIOR, VECTORS,
+    ACTION, Activation, Convolution, ENCODED, IMAGES, LATENT, Layer, Operation, POSTERIOR, PRIOR, VECTORS,
 };
 use harness_learning::network::{Architecture, Parameters, architecture};
 use harness_learning::random::{Random, Stream};
-use harness_spec::{Definition, Modality, Task};
+use harness_spec::{Definition, Layout, Modality, RunSpec, Task, Trained};
 use polars::prelude::*;
+use std::cmp::Reverse;
+use std::sync::Arc;
 
 /// The inputs, outputs and layers of a task's networks.
 pub struct Anatomy {
@@ -30,6 +32,7 @@ pub struct Anatomy {
 
 /// The layers and parameters of a network.
 struct Layers {
+    /// The layers of the encoder, and of the memory after it.
     encoder: Vec<Layer>,
     decoder: Vec<Layer>,
     /// The parameters' names and shapes.
@@ -37,14 +40,46 @@ struct Layers {
 }
 
 impl Layers {
-    /// Builds a run's network for a task as training builds it.
-    fn of(architecture: &Architecture, seed: u64, task: Task) -> candle_core::Result<Self> {
-        let (mut parameters, mut random) = (Parameters::new(), Random::new(seed, Stream::Parameters(task)));
-        let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
-        let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
+    /// Builds a run's network for a task as training builds it. A reconstruction has the encoder and the memory of the
+    /// prediction.
+    fn of(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> candle_core::Result<Self> {
+        let [prediction, own] =
+            [Task::Prediction, task].map(|task| architecture(spec, trained, layout, task));
+        let (mut parameters, mut random) = (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
+        prediction.network(&mut parameters, &mut random, &Device::Cpu)?;
+        parameters.retain(|name, _| !name.starts_with(DECODER));
+        let decoder = own.decoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
+        let mut memory = prediction.memory_layers()?;
+        // Only samples that are seen are reconstructed.
+        memory.retain(|layer| task == Task::Prediction || !layer.name.starts_with(PRIOR));
+        let encoder = with_memory(prediction.encoder_layers()?, memory);
         let parameters = parameters.iter().map(|(name, var)| (name.clone(), var.dims().to_vec()));
         Ok(Self { encoder, decoder, parameters: parameters.collect() })
     }
+}
+
+/// First part of the names of an encoder's parameters.
+const ENCODER: &str = "encoder";
+/// First part of the names of a decoder's parameters.
+const DECODER: &str = "decoder";
+
+/// The layers of an encoder, and those of the memory after it, if there is one. The last one of the former is then
+/// [`ENCODED`], and the names of the others differ from those of the latter.
+fn with_memory(mut encoder: Vec<Layer>, memory: Vec<Layer>) -> Vec<Layer> {
+    if memory.is_empty() {
+        return encoder;
+    }
+    let renamed = |name: &str| match name {
+        POSTERIOR => ENCODED.to_owned(),
+        VECTORS | IMAGES => name.to_owned(),
+        _ => format!("{ENCODER}.{name}"),
+    };
+    for layer in &mut encoder {
+        layer.name = renamed(&layer.name);
+        layer.inputs.iter_mut().for_each(|input| *input = renamed(input));
+    }
+    encoder.extend(memory);
+    encoder
 }
 
 impl Anatomy {
@@ -59,21 +94,24 @@ impl Anatomy {
         let Some(trained) = spec.trained().filter(|_| spec.tasks.contains(&task)) else {
             return Err(runs.no_rows());
         };
-        let architecture = architecture(spec, trained, runs.layout(), task);
-        let definitions = |names: &[Modality]| {
-            names.iter().map(|name| (**runs.layout())[*name].clone()).collect::<Vec<Definition>>()
-        };
-        let (input, output) = (definitions(&architecture.input), definitions(&architecture.output));
-        let build = |latent: &usize| {
-            Layers::of(&Architecture { latent: *latent, ..architecture.clone() }, spec.seed, task)
-        };
+        let layout = runs.layout();
+        let Architecture { input, output, action, .. } = architecture(spec, trained, layout, task);
+        let definitions = |names: Vec<Modality>| names.iter().map(|name| layout[*name].clone()).collect();
+        let (input, output) = (definitions(input), definitions(output));
+        let build =
+            |latent: &usize| Layers::of(spec, &Trained { latent: *latent, ..trained.clone() }, layout, task);
         let networks = latents.iter().map(build).collect::<Result<_, _>>().map_err(LearningError::from)?;
-        Ok(Self { task, input, output, latents, action: architecture.action, networks })
+        Ok(Self { task, input, output, latents, action, networks })
     }
 
     /// The latent sizes in words, for example "16, 64 or 128".
     pub fn latent_words(&self) -> String {
         any_of(self.latents.iter().copied())
+    }
+
+    /// Whether the networks have a memory after the encoder.
+    pub fn has_memory(&self) -> bool {
+        self.networks[0].encoder.iter().any(|layer| layer.name == ENCODED)
     }
 
     /// The smallest and the largest number of parameters of the networks, in words.
@@ -132,7 +170,7 @@ fn any_of(numbers: impl Iterator<Item = usize>) -> String {
 }
 
 /// The column of a block: that of images, that of vectors, or both.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Lane {
     /// Values that come from images alone, or lead to images alone.
     Images,
@@ -150,14 +188,18 @@ pub struct Block<'a> {
     pub lane: Lane,
     /// Number of arrows on the longest way from the latent state.
     pub depth: usize,
+    /// The block's position from the left in its row of the column, and the number of blocks in it.
+    pub position: [usize; 2],
+    /// Number of arrows that pass the row at its right.
+    pub passing: usize,
     /// What the layer computes, and the values that it gives.
     pub lines: Vec<String>,
     /// Whether a ReLU follows, for which the lines have no room.
     pub relu_beside: bool,
 }
 
-/// An encoder or a decoder in the diagram. Its arrows connect the latent state and the action with [`IMAGES`] and
-/// [`VECTORS`], which it is given or gives.
+/// An encoder with its memory, or a decoder, in the diagram. Its arrows connect the latent state and the action with
+/// [`IMAGES`] and [`VECTORS`], which it is given or gives.
 pub struct Part<'a> {
     /// First part of the parameters' names.
     prefix: &'static str,
@@ -172,19 +214,23 @@ pub struct Part<'a> {
 }
 
 impl<'a> Part<'a> {
-    /// The encoder of the networks.
+    /// The encoder of the networks, and the memory after it.
     pub fn encoder(anatomy: &'a Anatomy) -> Self {
         let layers = anatomy.networks.iter().map(|network| network.encoder.as_slice()).collect();
-        let mut part = Self::new("encoder", layers, anatomy, &anatomy.input);
+        let mut part = Self::new(ENCODER, layers, anatomy, &anatomy.input);
+        let names: Vec<&str> = part.drawn().map(|layer| layer.name.as_str()).collect();
+        // A memory also takes values of the sample before, which its block names.
+        part.pairs.retain(|(input, _)| [IMAGES, VECTORS].contains(input) || names.contains(input));
         part.pairs.iter_mut().for_each(|(input, layer)| std::mem::swap(input, layer));
-        part.pairs.push((LATENT, POSTERIOR));
+        let ends = [POSTERIOR, PRIOR].into_iter().filter(|end| names.contains(end));
+        part.pairs.extend(ends.map(|end| (LATENT, end)));
         part
     }
 
     /// The decoder of the networks.
     pub fn decoder(anatomy: &'a Anatomy) -> Self {
         let layers = anatomy.networks.iter().map(|network| network.decoder.as_slice()).collect();
-        let mut part = Self::new("decoder", layers, anatomy, &anatomy.output);
+        let mut part = Self::new(DECODER, layers, anatomy, &anatomy.output);
         let ends = part.layers[0].iter().filter(|layer| consumers(part.layers[0], &layer.name) == 0);
         let end =
             |layer: &'a Layer| (layer.name.as_str(), if layer.output.len() > 1 { IMAGES } else { VECTORS });
@@ -199,12 +245,19 @@ impl<'a> Part<'a> {
         anatomy: &'a Anatomy,
         modalities: &'a [Definition],
     ) -> Self {
-        let all = layers[0];
-        let drawn = all.iter().filter(|layer| is_drawn(all, layer));
-        let pairs =
-            drawn.flat_map(|layer| inputs(all, layer).into_iter().map(|input| (input, layer.name.as_str())));
-        let (pairs, parameters) = (pairs.collect(), anatomy.networks[0].parameters.as_slice());
-        Self { prefix, layers, parameters, pairs, modalities }
+        let parameters = anatomy.networks[0].parameters.as_slice();
+        let mut part = Self { prefix, layers, parameters, pairs: Vec::new(), modalities };
+        let pairs = part.drawn().flat_map(|layer| {
+            inputs(part.layers[0], layer).into_iter().map(|input| (input, layer.name.as_str()))
+        });
+        part.pairs = pairs.collect();
+        part
+    }
+
+    /// The layers that have blocks.
+    fn drawn(&self) -> impl Iterator<Item = &'a Layer> + use<'a> {
+        let layers = self.layers[0];
+        layers.iter().filter(|layer| is_drawn(layers, layer))
     }
 
     /// The values next to this one, on the side of the latent state.
@@ -224,23 +277,60 @@ impl<'a> Part<'a> {
 
     /// Whether data flow towards the latent state.
     pub fn is_encoder(&self) -> bool {
-        self.prefix == "encoder"
+        self.prefix == ENCODER
     }
 
-    /// The layers that have blocks.
+    /// The layers that have blocks, in the order of the list.
     pub fn blocks(&self) -> Vec<Block<'a>> {
-        let layers = self.layers[0];
-        let block = |(index, layer): (usize, &'a Layer)| {
-            let lane = self.lane(&layer.name);
-            Block {
-                name: &layer.name,
-                lane,
-                depth: self.depth(&layer.name),
-                lines: self.lines(index, lane),
-                relu_beside: has_relu_beside(layer, lane),
-            }
+        self.drawn().map(|layer| self.block(layer)).collect()
+    }
+
+    fn block(&self, layer: &'a Layer) -> Block<'a> {
+        let (lane, depth) = self.row(&layer.name);
+        let mut row: Vec<&str> = self.drawn().map(|layer| layer.name.as_str()).collect();
+        row.retain(|name| self.row(name) == (lane, depth));
+        // What follows from the sample is below it, and what a memory expects is beside it.
+        row.sort_by_key(|name| Reverse(self.reaches(name, IMAGES) || self.reaches(name, VECTORS)));
+        let index = row.iter().position(|name| *name == layer.name).unwrap_or(0);
+        let passing = self.passing(lane);
+        let is_passed = passing.iter().any(|pair| self.is_between(depth, pair));
+        let passing = if is_passed { passing.len() } else { 0 };
+        let room = match (lane, row.len()) {
+            (lane, 1) => lane,
+            (Lane::Both, 2) => Lane::Images,
+            _ => Lane::Vectors,
         };
-        layers.iter().enumerate().filter(|(_, layer)| is_drawn(layers, layer)).map(block).collect()
+        let (lines, relu_beside) = (self.lines(layer, room), has_relu_beside(layer, room));
+        Block { name: &layer.name, lane, depth, position: [index, row.len()], passing, lines, relu_beside }
+    }
+
+    /// The column and the depth of a value.
+    fn row(&self, name: &str) -> (Lane, usize) {
+        (self.lane(name), self.depth(name))
+    }
+
+    /// The column of an arrow.
+    pub fn lane_of(&self, (near, far): &(&str, &str)) -> Lane {
+        match self.lane(near) {
+            Lane::Both => self.lane(far),
+            lane => lane,
+        }
+    }
+
+    /// Whether an arrow passes the row of this depth.
+    fn is_between(&self, depth: usize, (near, far): &(&str, &str)) -> bool {
+        (self.depth(near) + 1..self.depth(far)).contains(&depth)
+    }
+
+    /// The pairs whose arrows pass blocks of a column, at their right.
+    pub fn passing(&self, lane: Lane) -> Vec<(&'a str, &'a str)> {
+        let passes = |pair: &&(&'a str, &'a str)| {
+            let is_passed = |layer: &Layer| {
+                self.lane(&layer.name) == lane && self.is_between(self.depth(&layer.name), pair)
+            };
+            self.lane_of(pair) == lane && self.drawn().any(is_passed)
+        };
+        self.pairs.iter().filter(passes).copied().collect()
     }
 
     fn reaches(&self, name: &str, end: &str) -> bool {
@@ -260,16 +350,20 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// What a block says about a layer: what it computes, and the values that it gives.
-    fn lines(&self, index: usize, lane: Lane) -> Vec<String> {
-        let layer = &self.layers[0][index];
-        let short = |whole: &str, short: &str| if lane == Lane::Both { whole } else { short }.to_owned();
-        let reshaped = self.layers[0]
-            .iter()
-            .find(|other| other.operation == Operation::Reshape && other.inputs.contains(&layer.name));
+    /// What a block that is as wide as this column says about a layer: what it computes, and the values that it gives.
+    fn lines(&self, layer: &Layer, room: Lane) -> Vec<String> {
+        let short = |whole: &str, short: &str| if room == Lane::Both { whole } else { short }.to_owned();
+        let all = self.layers[0];
+        let reshaped =
+            all.iter().find(|other| other.operation == Operation::Reshape && other.inputs.contains(&layer.name));
+        let width = |layers: &&[Layer]| {
+            let same = layers.iter().find(|other| other.name == layer.name);
+            same.map_or(0, |layer| layer.output.iter().product())
+        };
         let given = match reshaped.unwrap_or(layer).output.as_slice() {
             [channels, rows, columns] => format!("{rows} × {columns} × {channels}"),
-            _ => any_of(self.layers.iter().map(|layers| layers[index].output.iter().product())),
+            [objects, width] => format!("{objects} × {width}"),
+            _ => any_of(self.layers.iter().map(width)),
         };
         let kernel = |Convolution { weight, stride, .. }: &Convolution| {
             let name = format!("{}.{weight}", self.prefix);
@@ -280,16 +374,21 @@ impl<'a> Part<'a> {
         match &layer.operation {
             Operation::Dense { activation, .. } => {
                 let name = short("fully connected", "fully conn.");
-                let relu = *activation == Activation::Relu && lane != Lane::Vectors;
-                let means = if layer.name == POSTERIOR { "*μ*, log *σ*²: " } else { "" };
+                let relu = *activation == Activation::Relu && room != Lane::Vectors;
+                let is_distribution = [POSTERIOR, PRIOR].contains(&layer.name.as_str());
+                let means = if is_distribution { "*μ*, log *σ*²: " } else { "" };
                 vec![if relu { name + ", ReLU" } else { name }, format!("{means}{given}")]
             }
             Operation::Convolution(convolution) => vec!["convolution".into(), kernel(convolution), given],
             Operation::TransposedConvolution(convolution) => {
                 vec![short("transposed convolution", "transposed conv."), kernel(convolution), given]
             }
-            Operation::GatedRecurrentUnit { .. } => vec![short("gated recurrent unit", "GRU"), given],
-            Operation::LastSamples { samples } => vec![format!("last {samples} samples"), given],
+            Operation::GatedRecurrentUnit { .. } => {
+                vec![short("gated recurrent unit", "GRU"), format!("with {}", before(layer)), given]
+            }
+            Operation::LastSamples { samples } => {
+                vec![format!("last {samples} samples"), format!("each with {}", before(layer)), given]
+            }
             Operation::LayerNormalization { .. } => vec![short("layer normalization", "layer norm."), given],
             Operation::Average { size } => vec![format!("mean of {size} × {size} pixels"), given],
             Operation::SumAndMaximum { objects } => {
@@ -306,10 +405,17 @@ impl<'a> Part<'a> {
     }
 }
 
+/// The values of the sample before that a memory takes: `*z*_{t-1}, *a*_{t-1}`.
+fn before(memory: &Layer) -> String {
+    let names = [(LATENT, "*z*_{t-1}"), (ACTION, "*a*_{t-1}")];
+    let taken = names.iter().filter(|(name, _)| memory.inputs.iter().any(|input| input == name));
+    taken.map(|(_, words)| *words).collect::<Vec<_>>().join(", ")
+}
+
 /// Whether a ReLU follows a layer whose block has no room to say so.
-fn has_relu_beside(layer: &Layer, lane: Lane) -> bool {
+fn has_relu_beside(layer: &Layer, room: Lane) -> bool {
     let activation = match &layer.operation {
-        Operation::Dense { activation, .. } if lane == Lane::Vectors => *activation,
+        Operation::Dense { activation, .. } if room == Lane::Vectors => *activation,
         Operation::Convolution(of) | Operation::TransposedConvolution(of) => of.activation,
         _ => Activation::None,
     };

@@ -4,7 +4,7 @@ use super::anatomy::{Anatomy, Block, Lane, Part};
 use super::axes;
 use super::page::{BLACK, COLUMN, GRAY, Page, Point, Stroke, Type, WHITE};
 use super::text::Face;
-use harness_learning::network::description::{self, IMAGES, VECTORS};
+use harness_learning::network::description::{self, IMAGES, POSTERIOR, PRIOR, VECTORS};
 use harness_spec::{Definition, IMAGE_CHANNELS, Task};
 
 /// Fill color of inputs and outputs.
@@ -68,7 +68,10 @@ const THREE: f64 = 27.5;
 const WIDE: f64 = 62.0;
 /// Width of blocks in the column for vectors, which is beside the column for frames, points.
 const NARROW: f64 = 50.0;
+/// Distance between the columns, and between blocks of a row, points.
 const BETWEEN: f64 = 4.0;
+/// Width beside a row of blocks for an arrow that passes it, points.
+const PASSING: f64 = 8.0;
 /// Distance from one row of blocks to the next, points.
 const STEP: f64 = 36.0;
 const COLUMN_WIDTH: f64 = WIDE + BETWEEN + NARROW;
@@ -95,11 +98,17 @@ pub fn network(
     let mut heading = |left: f64, text: &str| {
         page.text(text, [left + COLUMN_WIDTH / 2.0, top + 7.0], Type { face: Face::Italic, ..Type::LABEL });
     };
-    heading(left, if frozen { "fusion encoder *f*, trained before, frozen" } else { "fusion encoder *f*" });
+    let encoder_heading = match (frozen, anatomy.has_memory()) {
+        (false, false) => "fusion encoder *f*",
+        (false, true) => "fusion encoder *f* with memory",
+        (true, false) => "fusion encoder *f*, trained before, frozen",
+        (true, true) => "encoder *f* with memory, frozen",
+    };
+    heading(left, encoder_heading);
     heading(right, if frozen { "reconstruction decoder *r*" } else { "predictive decoder *p*" });
     part(&mut page, &encoder, left, first, y, if frozen { FROZEN } else { WHITE });
     part(&mut page, &decoder, right, first, y, WHITE);
-    latent(&mut page, &decoder, [left, right], y(0), anatomy);
+    latent(&mut page, [&encoder, &decoder], [left, right], y(0), anatomy);
     axes::remark(&mut page, remark, [COLUMN / 2.0, bottom + 9.0]);
     page
 }
@@ -113,13 +122,33 @@ fn column(left: f64, lane: Lane) -> (f64, f64) {
     }
 }
 
+/// Horizontal center and width of a block of a part whose left edge is at `left`.
+fn place(left: f64, block: &Block) -> (f64, f64) {
+    let (x, width) = column(left, block.lane);
+    let ([index, count], room) = (block.position, width - PASSING * block.passing as f64);
+    let own = (room - BETWEEN * (count as f64 - 1.0)) / count as f64;
+    (x - width / 2.0 + index as f64 * (own + BETWEEN) + own / 2.0, own)
+}
+
+/// Horizontal places of the ends of an arrow between two blocks with these centers and widths: the same place if one
+/// block is above the other.
+fn ends(near: (f64, f64), far: (f64, f64)) -> [f64; 2] {
+    let edges = |(x, width): (f64, f64)| [x - width / 2.0, x + width / 2.0];
+    let (start, end) = (edges(near)[0].max(edges(far)[0]), edges(near)[1].min(edges(far)[1]));
+    if end > start {
+        return [(start + end) / 2.0; 2];
+    }
+    let side = (far.0 - near.0).signum();
+    [near.0 + side * near.1 / 4.0, far.0 - side * far.1 / 4.0]
+}
+
 /// Draws a part: its modalities in the row at `first`, its layers below, and the arrows between them. `y` is the center
 /// of the row of layers with a depth.
 fn part(page: &mut Page, part: &Part, left: f64, first: f64, y: impl Fn(usize) -> f64, fill: &str) {
     let blocks = part.blocks();
     let height = |block: &Block| if block.lines.len() > 2 { THREE } else { TWO };
     for block in &blocks {
-        let (x, width) = column(left, block.lane);
+        let (x, width) = place(left, block);
         self::block(page, [x, y(block.depth)], [width, height(block)], fill, &block.lines);
     }
     for (end, is_image) in [(IMAGES, true), (VECTORS, false)] {
@@ -135,26 +164,46 @@ fn part(page: &mut Page, part: &Part, left: f64, first: f64, y: impl Fn(usize) -
     for (near, far) in &part.pairs {
         let Some(near) = named(near) else { continue };
         let far_block = named(far);
-        let lane = if near.lane == Lane::Both { part.lane(far) } else { near.lane };
-        let (x, _) = column(left, lane);
+        let far_place =
+            far_block.map_or_else(|| column(left, part.lane(far)), |far| place(left, far));
+        let lane = part.lane_of(&(near.name, far));
+        let passing = part.passing(lane).iter().position(|pair| *pair == (near.name, *far));
+        let [near_x, far_x] = match passing {
+            Some(index) => {
+                let (x, width) = column(left, lane);
+                [x + width / 2.0 - PASSING * (index as f64 + 0.5); 2]
+            }
+            None => ends(place(left, near), far_place),
+        };
         let low = y(near.depth) - height(near) / 2.0;
         let high = far_block.map_or(first + TWO / 2.0, |far| y(far.depth) + height(far) / 2.0);
-        let (from, to, layer) =
-            if part.is_encoder() { (high, low, far_block) } else { (low, high, Some(near)) };
-        page.arrow(&[[x, from], [x, to]], LINE);
+        let (from, to, layer) = if part.is_encoder() {
+            ([far_x, high], [near_x, low], far_block)
+        } else {
+            ([near_x, low], [far_x, high], Some(near))
+        };
+        let middle = (from[1] + to[1]) / 2.0;
+        let bends: &[Point] =
+            if near_x == far_x { &[] } else { &[[from[0], middle], [to[0], middle]] };
+        page.arrow(&[&[from], bends, &[to]].concat(), LINE);
         if layer.is_some_and(|layer| layer.relu_beside) {
-            let middle = from + (to - from).clamp(-NEAR, NEAR) / 2.0;
-            let style = Type { size: 5.6, ..Type::SMALL.start().color(GRAY) };
-            page.text("ReLU", [x + 3.0, middle + 1.375], style);
+            let middle = from[1] + (to[1] - from[1]).clamp(-NEAR, NEAR) / 2.0;
+            beside(page, "ReLU", [from[0], middle]);
         }
     }
+}
+
+/// Writes a remark beside a vertical arrow.
+fn beside(page: &mut Page, remark: &str, [x, y]: Point) {
+    let style = Type { size: 5.6, ..Type::SMALL.start().color(GRAY) };
+    page.text(remark, [x + 3.0, y + 1.375], style);
 }
 
 /// A remark beside a longer arrow is beside so much of its beginning, points.
 const NEAR: f64 = STEP - (TWO + THREE) / 2.0;
 
 /// Draws the latent state between encoder and decoder, and for predictions the action beside it.
-fn latent(page: &mut Page, part: &Part, [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
+fn latent(page: &mut Page, [from, to]: [&Part; 2], [left, right]: [f64; 2], y: f64, anatomy: &Anatomy) {
     let (encoder, decoder) = (column(left, Lane::Both).0, column(right, Lane::Both).0);
     let acting = anatomy.action > 0;
     let how = if acting { "sampled: *μ* + *σε*" } else { "the mean *μ*" };
@@ -163,9 +212,18 @@ fn latent(page: &mut Page, part: &Part, [left, right]: [f64; 2], y: f64, anatomy
     let lines = ["latent state *z*".to_owned(), anatomy.latent_words(), how.to_owned()];
     block(page, center, size, LATENT, &lines);
     let above = y - STEP + TWO / 2.0;
-    page.arrow(&[[encoder, above], [encoder, y], [center[0] - size[0] / 2.0, y]], LINE);
-    for (_, layer) in part.pairs.iter().filter(|(near, _)| *near == description::LATENT) {
-        let enter = column(right, part.lane(layer)).0 - if acting { 32.0 } else { 0.0 };
+    for end in from.blocks() {
+        let (x, _) = place(left, &end);
+        if end.name == POSTERIOR {
+            page.arrow(&[[x, above], [x, y], [center[0] - size[0] / 2.0, y]], LINE);
+        } else if end.name == PRIOR {
+            let edge = y - size[1] / 2.0;
+            page.arrow(&[[x, above], [x, edge]], LINE);
+            beside(page, "not seen", [x, (above + edge) / 2.0]);
+        }
+    }
+    for (_, layer) in to.pairs.iter().filter(|(near, _)| *near == description::LATENT) {
+        let enter = column(right, to.lane(layer)).0 - if acting { 32.0 } else { 0.0 };
         page.arrow(&[[center[0] + size[0] / 2.0, y], [enter, y], [enter, above]], LINE);
     }
     if acting {

@@ -114,8 +114,7 @@ impl Architecture {
         decoder::build(self, &mut self.builder("decoder", Made::Variables { parameters, random, device }))
     }
 
-    /// Lists all layers with parameters in the order in which they are applied. Creates
-    /// no parameters.
+    /// Lists all layers with parameters in the order in which they are applied. Creates no parameters.
     ///
     /// # Errors
     /// When a layer can't be described.
@@ -138,18 +137,28 @@ impl Architecture {
     }
 
     /// Describes the encoder's layers in the order in which they are applied. Creates no parameters.
-    fn encoder_layers(&self) -> Result<Vec<Layer>> {
+    ///
+    /// # Errors
+    /// When a layer can't be described.
+    pub fn encoder_layers(&self) -> Result<Vec<Layer>> {
         encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()
     }
 
-    /// Describes the memory's layers in the order in which they are applied. Creates no parameters.
-    fn memory_layers(&self) -> Result<Vec<Layer>> {
+    /// Describes the memory's layers in the order in which they are applied; none without memory. Creates
+    /// no parameters.
+    ///
+    /// # Errors
+    /// When a layer can't be described.
+    pub fn memory_layers(&self) -> Result<Vec<Layer>> {
         let unit = recurrent::unit(self, self.builder("memory", Made::Shapes))?;
         unit.map_or_else(|| Ok(Vec::new()), |unit| unit.layers())
     }
 
     /// Describes the decoder's layers in the order in which they are applied. Creates no parameters.
-    fn decoder_layers(&self) -> Result<Vec<Layer>> {
+    ///
+    /// # Errors
+    /// When a layer can't be described.
+    pub fn decoder_layers(&self) -> Result<Vec<Layer>> {
         decoder::build(self, &mut self.builder("decoder", Made::Shapes))?.layers()
     }
 
