@@ -1,6 +1,7 @@
 //! `harness publish` on real runs: which rows are copied, and that the copy can be read like any results folder.
 
 use crate::common::{SMOKE, finish, fresh, harness, succeed};
+use harness::files::FolderLock;
 use harness::progress::Silent;
 use harness::registry::Registry;
 use std::collections::BTreeMap;
@@ -149,6 +150,23 @@ fn publishing_again_changes_nothing() {
     let before = files(&copy);
     publish(&copy);
     assert!(before == files(&copy), "the same runs were published with other bytes");
+}
+
+#[test]
+fn a_copy_that_another_process_works_on_is_not_written() {
+    let copy = fresh("published-locked");
+    publish(&copy);
+    let before = files(&copy);
+    let is_hidden = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with('.');
+    assert!(!before.keys().any(is_hidden), "a lock is left among the copies");
+    let folder = before.keys().next().unwrap().parent().unwrap();
+    let lock = FolderLock::attempt(folder).unwrap().unwrap();
+    let arguments = ["publish", "smoke", "sweep", "--output", copy.to_str().unwrap()];
+    let answer = finish(&mut harness(&RESULTS, &arguments));
+    let said = format!("works in {}; try again when it has ended", folder.display());
+    assert!(answer.code == 1 && answer.stderr.contains(&said), "{}", answer.stderr);
+    lock.remove(folder);
+    assert!(before == files(&copy));
 }
 
 #[test]

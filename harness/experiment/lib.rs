@@ -581,7 +581,7 @@ impl TrainingRun<'_> {
         let network =
             Description::new(architecture, task, *action, &self.trained.training.losses, normalizers)
                 .map_err(LearningError::from)?;
-        checkpoint::save(&self.claimed.folder().checkpoint(task), parameters, normalizers, &network)?;
+        checkpoint::save(&self.claimed.checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())
     }

@@ -2,16 +2,20 @@
 
 use super::record::IN_ITS_PLACE;
 use super::{
-    Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status, UNCOMMITTED,
-    peak_memory_bytes, removed,
+    FileRecord, Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status,
+    UNCOMMITTED, peak_memory_bytes, removed,
 };
 use harness_shared::files::{FolderLock, write_bytes, write_whole};
+use harness_shared::seal;
 use harness_spec::{Layout, RunSpec, Task};
+use harness_tables::schema::Table;
+use harness_tables::{sealed_table, write_table};
+use polars::prelude::DataFrame;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A run whose folder this value has locked. Everything that a run writes is written by this value, or to the paths
-/// that it names. No other process or thread works on the run until the value is dropped.
+/// A run whose folder this value has locked. Only this value writes into the folder, or names the paths of files that
+/// are written there. No other process or thread works on the run until the value is dropped.
 #[derive(Debug)]
 pub struct Claimed<'a> {
     registry: &'a Registry,
@@ -56,6 +60,11 @@ impl Claimed<'_> {
         self.folder
     }
 
+    /// Path of the file with the trained network of a task.
+    pub fn checkpoint(&self, task: Task) -> PathBuf {
+        self.folder.checkpoint(task)
+    }
+
     /// Path of the file with the saved state of an unfinished training.
     pub fn state(&self, task: Task) -> PathBuf {
         self.folder.state(task)
@@ -85,7 +94,7 @@ impl Claimed<'_> {
             // The run may have been started before, with other changes.
             None => removed(&patch, std::fs::remove_file(&patch))?,
         }
-        record.write(&path.join(RECORD))?;
+        self.write_record(&record)?;
         Ok(record)
     }
 
@@ -111,7 +120,7 @@ impl Claimed<'_> {
     pub fn fail(&self, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
         let (reason, peak_memory_bytes) = (Some(reason.to_owned()), peak_memory_bytes());
         let record = RunRecord { status: Status::Failed, reason, peak_memory_bytes, ..record };
-        record.write(&self.folder.path.join(RECORD))
+        self.write_record(&record)
     }
 
     /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training,
@@ -128,13 +137,106 @@ impl Claimed<'_> {
             ..record
         };
         let mut files = record.expected_files();
-        files.extend(outcome.write_tables(self.folder, &record)?);
+        for (table, rows) in outcome.tables(&record)? {
+            self.write_table(table, rows, &record)?;
+            files.push(table.file_name());
+        }
         let may_continue = record.spec.may_continue();
-        record.with_files(self.folder, files)?.write(&self.folder.path.join(RECORD))?;
+        self.write_record(&record.with_files(self.folder, files)?)?;
         if !may_continue {
             self.remove_states();
         }
         Ok(())
+    }
+
+    /// Replaces tables of a finished run, and lists them in its record. A run whose process is killed meanwhile is
+    /// intact, because the record lists both the old file and the new one until all are replaced.
+    ///
+    /// # Errors
+    /// When a table has other columns, or a file can't be written.
+    pub fn replace_tables(
+        &self,
+        record: RunRecord,
+        tables: Vec<(Table, DataFrame)>,
+    ) -> Result<(), RegistryError> {
+        let mut replaced = Vec::new();
+        for (table, rows) in tables {
+            let count = rows.height();
+            let bytes = sealed_table(rows, &table.columns(), &record.stamp())?;
+            replaced.push((table.file_name(), FileRecord::of(&bytes, Some(count)), bytes));
+        }
+        let mut pending = record.clone();
+        for (name, next, _) in &replaced {
+            if let Some(listed) = pending.files.get_mut(name) {
+                listed.next = Some(Box::new(next.clone()));
+            }
+        }
+        self.write_record(&pending)?;
+        for (name, _, bytes) in &replaced {
+            write_bytes(&self.folder.path.join(name), bytes)?;
+        }
+        let mut files = record.files.clone();
+        files.extend(replaced.into_iter().map(|(name, file, _)| (name, file)));
+        self.write_record(&RunRecord { files, ..record })
+    }
+
+    /// Writes a published copy of a run to its folder in this registry: whole files by name, and rows of tables. A
+    /// table without rows has no file. Removes the file of the lock, because copies are meant for version control.
+    /// Returns the record of the copy.
+    ///
+    /// # Errors
+    /// When a file can't be written.
+    pub fn copy(
+        self,
+        record: &RunRecord,
+        whole: Vec<(String, Vec<u8>)>,
+        tables: Vec<(Table, DataFrame)>,
+    ) -> Result<RunRecord, RegistryError> {
+        let copied = self.write_copy(record, whole, tables);
+        self.lock.remove(&self.folder.path);
+        copied
+    }
+
+    fn write_copy(
+        &self,
+        record: &RunRecord,
+        whole: Vec<(String, Vec<u8>)>,
+        tables: Vec<(Table, DataFrame)>,
+    ) -> Result<RunRecord, RegistryError> {
+        let mut names = Vec::new();
+        for (name, bytes) in whole {
+            write_bytes(&self.folder.path.join(&name), &bytes)?;
+            names.push(name);
+        }
+        for (table, rows) in tables {
+            if rows.height() > 0 {
+                self.write_table(table, rows, record)?;
+                names.push(table.file_name());
+            } else {
+                // An earlier call may have copied rows of it.
+                let path = self.folder.path.join(table.file_name());
+                removed(&path, std::fs::remove_file(&path))?;
+            }
+        }
+        let copy = RunRecord { published: true, ..record.clone() }.with_files(self.folder, names)?;
+        self.write_record(&copy)?;
+        Ok(copy)
+    }
+
+    /// Writes a table of the run.
+    fn write_table(&self, table: Table, rows: DataFrame, record: &RunRecord) -> Result<(), RegistryError> {
+        let path = self.folder.path.join(table.file_name());
+        Ok(write_table(&path, rows, &table.columns(), &record.stamp())?)
+    }
+
+    /// Writes the run's record, with a seal.
+    fn write_record(&self, record: &RunRecord) -> Result<(), RegistryError> {
+        let path = self.folder.path.join(RECORD);
+        let damaged =
+            |error: serde_json::Error| RegistryError::Record { path: path.clone(), reason: error.to_string() };
+        let mut json = serde_json::to_value(record).map_err(damaged)?;
+        json[seal::KEY] = seal::BLANK.into();
+        Ok(seal::write(&path, format!("{json:#}\n").into_bytes())?)
     }
 
     /// Removes the run's folder, because a longer training replaces it. Errors are ignored, because the next command on

@@ -1,13 +1,11 @@
 //! Metrics of a user's own, computed from the stored predictions of finished runs.
 
-use super::{FileRecord, RECORD, Registry, RegistryError, RunFolder, RunRecord, Status};
+use super::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use harness_judge::{is_usual, models};
-use harness_shared::files::write_bytes;
 use harness_spec::{Modality, Task};
 use harness_tables::schema::{GIVEN, HORIZON, Table};
-use harness_tables::{TableError, TableFile, column_of, sealed_table};
+use harness_tables::{TableError, TableFile, column_of};
 use polars::prelude::*;
-use std::collections::BTreeMap;
 
 /// Values of a user's metric for a run, over all elements of a modality.
 #[derive(Debug, Clone)]
@@ -54,28 +52,8 @@ impl Registry {
         let tables =
             tables.map(|(table, values)| Ok((table, with_values(&record, folder, table, metric, values)?)));
         let tables = tables.into_iter().collect::<Result<Vec<_>, RegistryError>>()?;
-        let mut written = Vec::new();
-        for (table, rows) in tables.into_iter().filter_map(|(table, rows)| Some((table, rows?))) {
-            let count = rows.height();
-            let bytes = sealed_table(rows, &table.columns(), &record.stamp())?;
-            written.push((table.file_name(), FileRecord::of(&bytes, Some(count)), bytes));
-        }
-        let path = folder.path.join(RECORD);
-        let mut pending = record.clone();
-        for (name, next, _) in &written {
-            if let Some(listed) = pending.files.get_mut(name) {
-                listed.next = Some(Box::new(next.clone()));
-            }
-        }
-        pending.write(&path)?;
-        for (name, _, bytes) in &written {
-            write_bytes(&folder.path.join(name), bytes)?;
-        }
-        let written = written.into_iter().map(|(name, file, _)| (name, file));
-        let files: BTreeMap<_, _> = record.files.clone().into_iter().chain(written).collect();
-        RunRecord { files, ..record }.write(&path)?;
-        drop(claimed);
-        Ok(())
+        let tables = tables.into_iter().filter_map(|(table, rows)| Some((table, rows?))).collect();
+        claimed.replace_tables(record, tables)
     }
 }
 

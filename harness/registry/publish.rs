@@ -1,11 +1,11 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
 use super::record::{RunRecord, WorldOf, is_network};
-use super::{RECORD, Registry, RegistryError, SPEC, removed};
-use harness_shared::files::write_bytes;
+use super::{Registry, RegistryError, Removable, SPEC};
+use harness_shared::files::FolderLock;
 use harness_shared::progress::Progress;
 use harness_tables::schema::Table;
-use harness_tables::{TableError, TableFile, write_table};
+use harness_tables::{TableError, TableFile};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -29,9 +29,8 @@ impl Registry {
     /// role. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
     ///
     /// # Errors
-    /// When `to` is this registry or has such a run that is not a published copy, or a file can't be read or written.
-    /// Nothing that was published before is changed for a
-    /// run with a damaged file.
+    /// When `to` is this registry or has such a run that is not a published copy, a process works on a copy, or a file
+    /// can't be read or written. Nothing that was published before is changed for a run with a damaged file.
     pub fn publish<'a>(
         &self,
         chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
@@ -57,41 +56,32 @@ impl Registry {
         let mut published = Published::default();
         progress.begin("publishing", chosen.len() as u64, "runs");
         for (folder, record) in chosen {
-            let copy = to.folder_of(record);
             // All files are read before the first one is written, because one of them may be damaged.
             let is_whole = |name: &&String| *name == SPEC || networks && is_network(name);
             let whole = record.files.keys().filter(is_whole);
             let whole: Vec<_> = whole
-                .map(|name| Ok((name, record.read_file(folder, name)?)))
+                .map(|name| Ok((name.clone(), record.read_file(folder, name)?)))
                 .collect::<Result<_, RegistryError>>()?;
             let tables = shown.tables(folder, record)?;
-            let mut names = Vec::new();
-            for (name, bytes) in whole {
-                write_bytes(&copy.path.join(name), &bytes)?;
-                names.push(name.clone());
-            }
-            for (table, rows) in tables {
-                let path = copy.path.join(table.file_name());
-                if rows.height() == 0 {
-                    // An earlier call may have copied rows of it.
-                    removed(&path, std::fs::remove_file(&path))?;
-                    continue;
-                }
-                write_table(&path, rows, &table.columns(), &record.stamp())?;
-                names.push(table.file_name());
-            }
-            let record = RunRecord { published: true, ..record.clone() }.with_files(&copy, names)?;
+            let copy = to.folder_of(record);
+            let Some(claimed) = to.claim(&copy)? else { return Err(busy(copy.path())) };
+            let record = claimed.copy(record, whole, tables)?;
             published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
             published.runs += 1;
-            record.write(&copy.path.join(RECORD))?;
-            for (folder, _) in published_before.iter().filter(|(_, other)| is_same(other, &record)) {
-                removed(folder, std::fs::remove_dir_all(folder))?;
+            for (folder, other) in published_before.iter().filter(|(_, other)| is_same(other, &record)) {
+                if to.remove(&Removable::new(folder, other.name()))?.is_some() {
+                    return Err(busy(folder));
+                }
             }
             progress.advance(1);
         }
         progress.end();
         Ok(published)
     }
+}
+
+fn busy(folder: &Path) -> RegistryError {
+    RegistryError::Busy { holder: FolderLock::other(folder), folder: folder.to_owned() }
 }
 
 /// Whether two runs are of the same cell and seed.

@@ -8,7 +8,7 @@ use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
 use harness_spec::{Layout, Modality, RunSpec, Task, World};
 use harness_tables::schema::{GIVEN, HORIZON, Table};
-use harness_tables::{Stamp, TableError, column_of, read_footer, write_table};
+use harness_tables::{Stamp, TableError, column_of, read_footer};
 use jiff::Timestamp;
 use polars::prelude::*;
 use rayon::prelude::*;
@@ -447,17 +447,6 @@ impl RunRecord {
         }
     }
 
-    /// Writes the record, with a seal.
-    pub(super) fn write(&self, path: &Path) -> Result<(), RegistryError> {
-        let damaged = |error: serde_json::Error| RegistryError::Record {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        };
-        let mut json = serde_json::to_value(self).map_err(damaged)?;
-        json[seal::KEY] = seal::BLANK.into();
-        Ok(seal::write(path, format!("{json:#}\n").into_bytes())?)
-    }
-
     /// The metadata that the run's table files carry about the run.
     pub(super) fn stamp(&self) -> Stamp {
         let by = &self.provenance;
@@ -581,12 +570,8 @@ pub(super) fn epochs_columns(epochs: &[(Task, Epoch)]) -> Vec<Column> {
 }
 
 impl Outcome {
-    /// Writes all tables of the run to its folder, and returns the names of their files.
-    pub(super) fn write_tables(
-        &self,
-        folder: &RunFolder,
-        record: &RunRecord,
-    ) -> Result<Vec<String>, RegistryError> {
+    /// Returns all tables of the run.
+    pub(super) fn tables(&self, record: &RunRecord) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
         let (metrics, further_metrics): (Vec<&MetricRow>, _) =
             self.metrics.iter().partition(|row| is_usual(row.horizon, row.given));
         let (predictions, further_predictions): (Vec<&PredictionRow>, _) =
@@ -604,13 +589,10 @@ impl Outcome {
         if !further_predictions.is_empty() {
             tables.push((Table::AllPredictions, all_predictions_columns(&further_predictions)));
         }
-        let written = tables.into_iter().map(|(table, columns)| {
-            let frame = record.with_key(columns).map_err(TableError::from)?;
-            let name = table.file_name();
-            write_table(&folder.path.join(&name), frame, &table.columns(), &record.stamp())?;
-            Ok(name)
-        });
-        written.collect()
+        let tables = tables
+            .into_iter()
+            .map(|(table, columns)| Ok((table, record.with_key(columns).map_err(TableError::from)?)));
+        tables.collect()
     }
 
     fn forces_columns(&self) -> Vec<Column> {

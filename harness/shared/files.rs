@@ -239,6 +239,12 @@ impl FolderLock {
         })
     }
 
+    /// Unlocks the folder and removes the file of the lock. Errors are ignored, because a file that remains locks
+    /// nothing.
+    pub fn remove(self, folder: &Path) {
+        let _ = std::fs::remove_file(folder.join(LOCK));
+    }
+
     fn lock(folder: &Path, attempt: Attempt) -> Result<Option<Self>, LockError> {
         let path = folder.join(LOCK);
         let locked = || {
