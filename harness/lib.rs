@@ -34,3 +34,4 @@ pub use harness_spec as spec;
 pub use harness_sql as sql;
 pub use harness_tables as tables;
 pub use harness_tables::schema;
+pub use harness_transfer as transfer;

@@ -360,7 +360,8 @@ fn readers() -> Vec<Reader> {
                 let folder = tempfile::tempdir().unwrap();
                 let pack = folder.path().join("hostile.harness");
                 std::fs::write(&pack, bytes).unwrap();
-                let error = Registry::new(folder.path().join("results")).unpack(&pack, &Silent).unwrap_err();
+                let registry = Registry::new(folder.path().join("results"));
+                let error = harness::transfer::unpack(&registry, &pack, &Silent).unwrap_err();
                 assert!(!error.to_string().contains(['\n', '\0']), "{error}");
                 assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "{error}");
             },

@@ -9,6 +9,7 @@ use harness::progress::Silent;
 use harness::registry::Registry;
 use harness::samples::{FramePlace, Sample, physical};
 use harness::seal;
+use harness::transfer;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -477,7 +478,7 @@ fn a_damaged_pack_is_refused_or_gives_the_same_files() {
     let mut refused = 0;
     for (bytes, what) in flips.into_iter().chain(cuts).chain(ends) {
         fs::write(&path, bytes).unwrap();
-        match Registry::new(&results).unpack(&path, &Silent) {
+        match transfer::unpack(&Registry::new(&results), &path, &Silent) {
             Err(error) => {
                 refused += 1;
                 assert!(!error.to_string().contains('\n'), "{what}: {error}");

@@ -4,6 +4,7 @@ use crate::common::{SMOKE, finish, fresh, harness, succeed};
 use harness::files::FolderLock;
 use harness::progress::Silent;
 use harness::registry::Registry;
+use harness::transfer;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -182,7 +183,8 @@ fn republishing_keeps_chosen_runs_and_the_copy_of_a_damaged_one() {
         records.iter().map(|record| results.join("runs/smoke").join(&record.run)).collect();
     let publish = || {
         let chosen = folders.iter().map(PathBuf::as_path).zip(&records);
-        registry.publish(chosen, &Registry::new(&copy), false, &Silent).map(|published| published.runs)
+        transfer::publish(&registry, chosen, &Registry::new(&copy), false, &Silent)
+            .map(|published| published.runs)
     };
     assert_eq!(publish().unwrap(), 2);
     let before = files(&copy);

@@ -9,9 +9,10 @@ use harness::collection::dataset_of;
 use harness::experiment::describe;
 use harness::files::write_bytes;
 use harness::numbers::{bytes, counted};
-use harness::registry::{PackError, Packed, Recorded, Registry, RunRecord, Status, Versions, quoted};
+use harness::registry::{Recorded, Registry, RunRecord, Status, Versions, quoted};
 use harness::simulation::{Scene, mujoco_version};
 use harness::spec::parse_task;
+use harness::transfer::{self, PackError, Packed};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -40,7 +41,8 @@ impl Pack {
         }
         interrupt::install()?;
         let versions = Versions { mujoco: mujoco_version(), candle: harness::learning::CANDLE_VERSION };
-        let packed = registry.pack(&chosen, self.datasets, versions, &self.output, &Bars::default())?;
+        let packed =
+            transfer::pack(registry, &chosen, self.datasets, versions, &self.output, &Bars::default())?;
         for (_, record) in chosen.iter().filter(|(_, record)| record.status != Status::Done) {
             eprintln!("{} is left out: it is {}", record.name(), record.status.name());
         }
@@ -65,7 +67,7 @@ pub struct Unpack {
 impl Unpack {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         interrupt::install()?;
-        let unpacked = registry.unpack(&self.pack, &Bars::default())?;
+        let unpacked = transfer::unpack(registry, &self.pack, &Bars::default())?;
         let (runs, datasets) = (counted(unpacked.runs, "run"), counted(unpacked.datasets, "dataset"));
         let (root, same) = (registry.root().display(), unpacked.same);
         print_text(&format!("{runs} and {datasets} unpacked into {root}, {same} were there before"));

@@ -6,7 +6,8 @@ use anyhow::Result;
 use clap::Args;
 use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
 use harness::numbers::{self, counted};
-use harness::registry::{Published, Registry};
+use harness::registry::Registry;
+use harness::transfer::{self, Published};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -39,7 +40,8 @@ impl Publish {
             chosen.extend(analysis.runs(experiment).iter().map(|run| (run.folder(), &run.record)));
         }
         let to = Registry::new(&self.output);
-        let Published { runs, bytes } = registry.publish(chosen, &to, self.networks, &Bars::default())?;
+        let Published { runs, bytes } =
+            transfer::publish(registry, chosen, &to, self.networks, &Bars::default())?;
         for left_out in to.left_out() {
             eprintln!("warning: {left_out}");
         }

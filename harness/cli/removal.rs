@@ -6,7 +6,8 @@ use anyhow::Result;
 use clap::Args;
 use harness::experiment::describe;
 use harness::numbers::{bytes, counted};
-use harness::registry::{Garbage, Registry, Removable};
+use harness::registry::Registry;
+use harness::transfer::{self, Garbage, Removable};
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -55,7 +56,7 @@ impl Gc {
         let is_wanted =
             |reason: &Garbage| self.only.is_empty() || self.only.iter().any(|only| only == reason.name());
         let wanted: Vec<Garbage> = Garbage::ALL.into_iter().filter(is_wanted).collect();
-        let found = registry.garbage(&wanted);
+        let found = transfer::garbage(registry, &wanted);
         print_beside(found.iter().map(|(reason, item)| {
             (format!("{:>9}  {:<10}", bytes(item.bytes), reason.name()), item.name.clone())
         }));
@@ -76,7 +77,8 @@ impl Gc {
 /// Those of the folders that can still be removed for their reason. Prints the others.
 fn still(registry: &Registry, listed: Vec<(Garbage, Removable)>) -> Vec<Removable> {
     let reasons: Vec<Garbage> = listed.iter().map(|(reason, _)| *reason).collect();
-    let now: BTreeSet<PathBuf> = registry.garbage(&reasons).into_iter().map(|(_, item)| item.path).collect();
+    let now: BTreeSet<PathBuf> =
+        transfer::garbage(registry, &reasons).into_iter().map(|(_, item)| item.path).collect();
     let (free, used): (Vec<_>, Vec<_>) =
         listed.into_iter().map(|(_, item)| item).partition(|item| now.contains(&item.path));
     for item in used {
@@ -128,7 +130,7 @@ impl Removed {
 fn remove(registry: &Registry, chosen: &[Removable]) -> Removed {
     let mut end = Removed { removed: 0, kept: 0 };
     for item in chosen {
-        match registry.remove(item) {
+        match transfer::remove(registry, item) {
             Ok(None) => end.removed += 1,
             Ok(Some(holder)) => {
                 eprintln!("{} is kept: {holder} works on it", item.name);
@@ -145,7 +147,7 @@ fn remove(registry: &Registry, chosen: &[Removable]) -> Removed {
 
 /// Prints the space that experiments and datasets take.
 pub fn usage(registry: &Registry) -> Result<ExitCode> {
-    let usage = registry.usage();
+    let usage = transfer::usage(registry);
     let total: u64 = usage.iter().map(|part| part.bytes).sum();
     let rows = usage.into_iter().map(|part| {
         let count = |count: usize| if count > 0 { count.to_string() } else { String::new() };

@@ -45,7 +45,8 @@ impl Layers {
     fn of(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> candle_core::Result<Self> {
         let [prediction, own] =
             [Task::Prediction, task].map(|task| architecture(spec, trained, layout, task));
-        let (mut parameters, mut random) = (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
+        let (mut parameters, mut random) =
+            (Parameters::new(), Random::new(spec.seed, Stream::Parameters(task)));
         prediction.network(&mut parameters, &mut random, &Device::Cpu)?;
         parameters.retain(|name, _| !name.starts_with(DECODER));
         let decoder = own.decoder(&mut parameters, &mut random, &Device::Cpu)?.layers()?;
@@ -354,8 +355,9 @@ impl<'a> Part<'a> {
     fn lines(&self, layer: &Layer, room: Lane) -> Vec<String> {
         let short = |whole: &str, short: &str| if room == Lane::Both { whole } else { short }.to_owned();
         let all = self.layers[0];
-        let reshaped =
-            all.iter().find(|other| other.operation == Operation::Reshape && other.inputs.contains(&layer.name));
+        let reshaped = all
+            .iter()
+            .find(|other| other.operation == Operation::Reshape && other.inputs.contains(&layer.name));
         let width = |layers: &&[Layer]| {
             let same = layers.iter().find(|other| other.name == layer.name);
             same.map_or(0, |layer| layer.output.iter().product())

@@ -164,8 +164,7 @@ fn part(page: &mut Page, part: &Part, left: f64, first: f64, y: impl Fn(usize) -
     for (near, far) in &part.pairs {
         let Some(near) = named(near) else { continue };
         let far_block = named(far);
-        let far_place =
-            far_block.map_or_else(|| column(left, part.lane(far)), |far| place(left, far));
+        let far_place = far_block.map_or_else(|| column(left, part.lane(far)), |far| place(left, far));
         let lane = part.lane_of(&(near.name, far));
         let passing = part.passing(lane).iter().position(|pair| *pair == (near.name, *far));
         let [near_x, far_x] = match passing {
@@ -183,8 +182,7 @@ fn part(page: &mut Page, part: &Part, left: f64, first: f64, y: impl Fn(usize) -
             ([near_x, low], [far_x, high], Some(near))
         };
         let middle = (from[1] + to[1]) / 2.0;
-        let bends: &[Point] =
-            if near_x == far_x { &[] } else { &[[from[0], middle], [to[0], middle]] };
+        let bends: &[Point] = if near_x == far_x { &[] } else { &[[from[0], middle], [to[0], middle]] };
         page.arrow(&[&[from], bends, &[to]].concat(), LINE);
         if layer.is_some_and(|layer| layer.relu_beside) {
             let middle = from[1] + (to[1] - from[1]).clamp(-NEAR, NEAR) / 2.0;

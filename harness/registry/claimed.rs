@@ -5,7 +5,7 @@ use super::{
     FileRecord, Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status,
     UNCOMMITTED, peak_memory_bytes, removed,
 };
-use harness_shared::files::{FolderLock, write_bytes, write_whole};
+use harness_shared::files::{FolderLock, UNFINISHED, WriteError, sorted, write_bytes, write_whole};
 use harness_shared::seal;
 use harness_spec::{Layout, RunSpec, Task};
 use harness_tables::schema::Table;
@@ -33,6 +33,32 @@ impl Registry {
         Ok(lock.map(|lock| Claimed { registry: self, folder, lock }))
     }
 
+    /// Removes a folder that the caller has locked. It is renamed first, so that an interruption leaves no part of it
+    /// under its name.
+    ///
+    /// # Errors
+    /// When it can't be renamed or removed.
+    pub fn discard(&self, folder: &Path, lock: FolderLock) -> Result<(), WriteError> {
+        let aside = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root);
+        let aside = aside.map_err(|source| WriteError { path: folder.to_owned(), source })?.keep();
+        // An empty folder is replaced.
+        removed(folder, std::fs::rename(folder, &aside))?;
+        drop(lock);
+        removed(&aside, std::fs::remove_dir_all(&aside))
+    }
+
+    /// Removes what interruptions of [`discard`](Self::discard) have left. Errors are ignored, because it only takes
+    /// space.
+    pub fn remove_set_aside(&self) {
+        let prefix = set_aside_prefix();
+        let is_left = |path: &&PathBuf| {
+            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(&prefix))
+        };
+        for left in sorted(&self.root).iter().filter(is_left) {
+            let _ = std::fs::remove_dir_all(left);
+        }
+    }
+
     /// Removes the folder of a run that a longer training replaces, unless a process works there. Errors are ignored,
     /// because the next command on the experiment tries it again.
     pub fn supersede(&self, folder: &RunFolder) {
@@ -52,6 +78,11 @@ impl Registry {
             run.remove_states();
         }
     }
+}
+
+/// The beginning of the names of folders that are being removed.
+fn set_aside_prefix() -> String {
+    format!("{UNFINISHED}removal-")
 }
 
 impl Claimed<'_> {
@@ -232,8 +263,10 @@ impl Claimed<'_> {
     /// Writes the run's record, with a seal.
     fn write_record(&self, record: &RunRecord) -> Result<(), RegistryError> {
         let path = self.folder.path.join(RECORD);
-        let damaged =
-            |error: serde_json::Error| RegistryError::Record { path: path.clone(), reason: error.to_string() };
+        let damaged = |error: serde_json::Error| RegistryError::Record {
+            path: path.clone(),
+            reason: error.to_string(),
+        };
         let mut json = serde_json::to_value(record).map_err(damaged)?;
         json[seal::KEY] = seal::BLANK.into();
         Ok(seal::write(&path, format!("{json:#}\n").into_bytes())?)

@@ -77,20 +77,6 @@ pub enum RegistryError {
         /// The command that lists all runs.
         list: String,
     },
-    /// The target of publishing is the results folder itself.
-    #[error("{} can't be published into itself; choose another folder", .0.display())]
-    IntoItself(PathBuf),
-    /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
-    #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
-    NotPublished(PathBuf),
-    /// Another process works in the folder of a copy.
-    #[error("{holder} works in {}; try again when it has ended", folder.display())]
-    Busy {
-        /// The folder.
-        folder: PathBuf,
-        /// The process.
-        holder: String,
-    },
     /// A metric can't be added to a run.
     #[error("{} can't get a metric: {problem}", path.display())]
     NoMetric {

@@ -84,7 +84,7 @@ impl Registry {
     }
 
     /// Whether the reads so far have left out a run.
-    pub(super) fn leaves_out_runs(&self) -> bool {
+    pub fn leaves_out_runs(&self) -> bool {
         let left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
         left_out.keys().any(|path| path.starts_with(self.runs()))
     }
@@ -123,7 +123,7 @@ impl Registry {
     ///
     /// # Errors
     /// When the record is damaged, missing next to results, or that of another run.
-    pub(super) fn read_run(&self, folder: &Path) -> Result<Option<RunRecord>, RegistryError> {
+    pub fn read_run(&self, folder: &Path) -> Result<Option<RunRecord>, RegistryError> {
         let path = folder.join(RECORD);
         let Some(mut record) = RunRecord::read(&path)? else {
             return match holds_results(folder) {
@@ -141,7 +141,7 @@ impl Registry {
     }
 
     /// The folder in which a run's record belongs.
-    pub(super) fn folder_of(&self, record: &RunRecord) -> RunFolder {
+    pub fn folder_of(&self, record: &RunRecord) -> RunFolder {
         RunFolder {
             path: self.runs().join(&record.experiment).join(&record.run),
             experiment: record.experiment.clone(),

@@ -23,11 +23,8 @@ mod losses;
 mod mark;
 mod names;
 mod own_metric;
-mod pack;
 mod provenance;
-mod publish;
 mod record;
-mod removal;
 mod verify;
 
 pub use claimed::Claimed;
@@ -37,13 +34,11 @@ pub use folders::{Recorded, Remembered};
 pub use live::{LiveEpochs, live_epochs, live_table};
 pub use mark::Mark;
 pub use own_metric::{OwnMetric, OwnValue};
-pub use pack::{PackError, Packed, Unpacked};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
-pub use publish::{ForcesOf, Published, forces_of};
 pub use record::{
-    FileRecord, ForceRows, Outcome, RunRecord, Status, Submission, Timings, episodes_used, runs_table,
+    FileRecord, ForceRows, ForcesOf, Outcome, RunRecord, Status, Submission, Timings, WorldOf, episodes_used,
+    forces_of, is_network, runs_table,
 };
-pub use removal::{Garbage, Removable, Usage};
 pub use verify::{Finding, Report};
 
 use checks::Checks;
@@ -61,11 +56,11 @@ const REVISION: u32 = 3;
 /// The results folder that is used when the command line names none.
 const DEFAULT_ROOT: &str = "results";
 /// The file with a run's record. The record of a finished run is written after all other files.
-const RECORD: &str = "run.json";
+pub const RECORD: &str = "run.json";
 /// The file with a run's resolved spec.
-const SPEC: &str = "spec.yaml";
+pub const SPEC: &str = "spec.yaml";
 /// The file with the uncommitted changes of the source tree, as a patch.
-const UNCOMMITTED: &str = "uncommitted.diff";
+pub const UNCOMMITTED: &str = "uncommitted.diff";
 
 /// What is wrong with a results folder that is a file.
 const IS_FILE: &str = "it is a file, not a folder";

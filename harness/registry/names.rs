@@ -47,7 +47,7 @@ impl Registry {
     }
 
     /// Whether a folder is this results folder, or in one of its folders.
-    pub(super) fn contains(&self, folder: &Path) -> bool {
+    pub fn contains(&self, folder: &Path) -> bool {
         let own = ["runs", "datasets", "compacted", "specs", "jobs"];
         let is_in = |part: &str| within(&self.root.join(part), folder).is_some();
         real(folder) == real(&self.root) || own.into_iter().any(is_in)

@@ -114,7 +114,7 @@ pub struct FileRecord {
 
 impl FileRecord {
     /// The entry of a file with these bytes, of which a table has `rows`.
-    pub(super) fn of(bytes: &[u8], rows: Option<usize>) -> Self {
+    pub fn of(bytes: &[u8], rows: Option<usize>) -> Self {
         Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)), next: None }
     }
 
@@ -145,7 +145,7 @@ impl FileRecord {
     ///
     /// # Errors
     /// When their number or their checksum is not this one. Returns the reason.
-    pub(super) fn check(&self, bytes: &[u8]) -> Result<(), String> {
+    pub fn check(&self, bytes: &[u8]) -> Result<(), String> {
         if self.next.as_ref().is_some_and(|next| next.check(bytes).is_ok()) {
             return Ok(());
         }
@@ -247,7 +247,7 @@ mod shared {
 
 /// The world of a run. Two runs with equal specs may have different worlds, because a spec has only the world's name.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum WorldOf {
+pub enum WorldOf {
     /// A built-in world.
     BuiltIn(String),
     /// The world file with this path, whatever it contains.
@@ -257,7 +257,7 @@ pub(super) enum WorldOf {
 }
 
 /// Whether a file of a finished run with this name belongs to a network, or is an attached model.
-pub(super) fn is_network(name: &str) -> bool {
+pub fn is_network(name: &str) -> bool {
     name != SPEC && !name.ends_with(".parquet")
 }
 
@@ -268,7 +268,7 @@ impl RunRecord {
     }
 
     /// The run's world.
-    pub(super) fn world(&self) -> WorldOf {
+    pub fn world(&self) -> WorldOf {
         let name = self.spec.scenario.name();
         match &self.provenance.world_file {
             Some(path) => WorldOf::File(path.clone()),
@@ -356,12 +356,15 @@ impl RunRecord {
     ///
     /// # Errors
     /// When the record does not list the file, the file can't be read, or its size or checksum differs.
-    pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<PathBuf, RegistryError> {
+    pub fn check_file(&self, folder: &Path, name: &str) -> Result<PathBuf, RegistryError> {
         self.read_file(folder, name).map(|_| folder.join(name))
     }
 
     /// Reads a file and compares it with its entry in the record.
-    pub(super) fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
+    ///
+    /// # Errors
+    /// Like [`check_file`](Self::check_file).
+    pub fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         self.listed(folder, name)?.read(&folder.join(name))
     }
 
@@ -381,7 +384,7 @@ impl RunRecord {
     }
 
     /// The tables of which the finished run has a file.
-    pub(super) fn tables(&self) -> impl Iterator<Item = Table> {
+    pub fn tables(&self) -> impl Iterator<Item = Table> {
         TABLES.into_iter().chain(FURTHER_TABLES).filter(|table| self.has(*table))
     }
 
@@ -430,7 +433,7 @@ impl RunRecord {
     ///
     /// # Errors
     /// When the file can't be read, its seal does not match, or it is no record.
-    pub(super) fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
+    pub fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
         let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
         match seal::read(path) {
             Err(SealError::Read(error))
@@ -471,6 +474,16 @@ impl RunRecord {
         let key = key_columns(std::slice::from_ref(self)).into_iter();
         DataFrame::new(rows, key.map(|column| column.new_from_index(0, rows)).chain(columns).collect())
     }
+}
+
+/// An experiment, a dataset, and the reading and the role of the runs on it.
+pub type ForcesOf = (String, String, Option<String>, Option<String>);
+
+/// What the rows of a run's table `forces` are about. They describe the dataset, so runs with the same value have the
+/// same rows, and those of one run are enough.
+pub fn forces_of(record: &RunRecord) -> ForcesOf {
+    let [reading, role] = [record.spec.reading(), record.spec.role()].map(|name| name.map(str::to_owned));
+    (record.experiment.clone(), record.dataset.clone(), reading, role)
 }
 
 fn joined(modalities: &[Modality]) -> String {

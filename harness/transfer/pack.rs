@@ -9,10 +9,11 @@
 //! runs/<experiment>/<run id>/     run.json, spec.yaml, tables, networks
 //! ```
 
-use super::folders::Recorded;
-use super::record::{FileRecord, RunRecord};
-use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED, Versions};
+use super::Busy;
 use harness_dataset::{Dataset, inspect, is_lock};
+use harness_registry::{
+    FileRecord, RECORD, Recorded, Registry, RegistryError, RunRecord, Status, UNCOMMITTED, Versions,
+};
 use harness_shared::files::{
     FolderLock, LockError, UNFINISHED, WriteError, abandoned, free_bytes, remove_abandoned, sorted,
     write_whole,
@@ -125,13 +126,8 @@ pub enum PackError {
         others: usize,
     },
     /// Another process works in a folder.
-    #[error("{holder} works in {}; try again when it has ended", folder.display())]
-    Busy {
-        /// The folder.
-        folder: PathBuf,
-        /// The process.
-        holder: String,
-    },
+    #[error(transparent)]
+    Busy(#[from] Busy),
     /// The files do not fit on the disk.
     #[error(
         "the files take {} in {}, and only {} are free there; make room, or choose a folder on another disk",
@@ -242,115 +238,117 @@ fn check_room(folder: &Path, needed: u64) -> Result<(), PackError> {
 
 // --- packing ---
 
-impl Registry {
-    /// Writes finished runs to the new file `output`: records, specs, tables and networks, and with `datasets` also the
-    /// datasets that they used.
-    ///
-    /// # Errors
-    /// When `output` exists, no run is done, a file is damaged or missing, the disk is too small, or the caller
-    /// cancels. There is no file `output` then.
-    pub fn pack(
-        &self,
-        runs: &[Recorded],
-        datasets: bool,
-        versions: Versions,
-        output: &Path,
-        progress: &dyn Progress,
-    ) -> Result<Packed, PackError> {
-        if output.symlink_metadata().is_ok() {
-            return Err(PackError::Exists(output.to_owned()));
-        }
-        let runs: Vec<&Recorded> = runs.iter().filter(|(_, record)| record.status == Status::Done).collect();
-        if runs.is_empty() {
-            return Err(PackError::NotDone(self.command("ls")));
-        }
-        let used = if datasets { episodes_of(&runs) } else { BTreeMap::new() };
-        let mut files = BTreeMap::new();
-        for (folder, record) in &runs {
-            files.extend(run_files(folder, record)?);
-        }
-        if datasets {
-            progress.begin("checking", used.len() as u64, "datasets");
-            for (name, episodes) in &used {
-                files.extend(self.dataset_files(name, *episodes)?);
-                progress.advance(1);
-            }
-            progress.end();
-        }
-        let manifest = Manifest {
-            format: FORMAT,
-            harness_version: env!("CARGO_PKG_VERSION").into(),
-            mujoco_version: versions.mujoco.into(),
-            candle_version: versions.candle.into(),
-            files,
-        };
-        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
-        check_room(folder.unwrap_or(Path::new(".")), space(manifest.files.values()))?;
-        // A file that can't be removed only takes disk space.
-        abandoned(folder.unwrap_or(Path::new("."))).iter().for_each(|left| drop(remove_abandoned(left)));
-        let mut refused = None;
-        let written = write_whole(output, |file| {
-            self.write_pack(&manifest, file, progress)?.map_err(|error| {
-                refused = Some(error);
-                io::Error::other("it was not packed")
-            })
-        });
-        if let Some(error) = refused {
-            return Err(error);
-        }
-        written?;
-        let bytes = output.metadata().map_or(0, |about| about.len());
-        Ok(Packed { runs: runs.len(), datasets: used.len(), files: manifest.files.len(), bytes })
+/// Writes finished runs to the new file `output`: records, specs, tables and networks, and with `datasets` also the
+/// datasets that they used.
+///
+/// # Errors
+/// When `output` exists, no run is done, a file is damaged or missing, the disk is too small, or the caller
+/// cancels. There is no file `output` then.
+pub fn pack(
+    registry: &Registry,
+    runs: &[Recorded],
+    datasets: bool,
+    versions: Versions,
+    output: &Path,
+    progress: &dyn Progress,
+) -> Result<Packed, PackError> {
+    if output.symlink_metadata().is_ok() {
+        return Err(PackError::Exists(output.to_owned()));
     }
-
-    /// Writes a pack. The inner error is that of a file that is packed, and the outer one that of the pack.
-    fn write_pack(
-        &self,
-        manifest: &Manifest,
-        file: &Path,
-        progress: &dyn Progress,
-    ) -> io::Result<Result<(), PackError>> {
-        let mut archive = tar::Builder::new(BufWriter::new(File::create(file)?));
-        append(&mut archive, MANIFEST, &manifest.sealed())?;
-        progress.begin("packing", manifest.files.len() as u64, "files");
-        for (path, file) in &manifest.files {
-            if progress.cancelled() {
-                return Ok(Err(PackError::Cancelled));
-            }
-            match file.read(&self.root.join(path)) {
-                Ok(bytes) => append(&mut archive, path, &bytes)?,
-                Err(error) => return Ok(Err(error.into())),
-            }
+    let runs: Vec<&Recorded> = runs.iter().filter(|(_, record)| record.status == Status::Done).collect();
+    if runs.is_empty() {
+        return Err(PackError::NotDone(registry.command("ls")));
+    }
+    let used = if datasets { episodes_of(&runs) } else { BTreeMap::new() };
+    let mut files = BTreeMap::new();
+    for (folder, record) in &runs {
+        files.extend(run_files(folder, record)?);
+    }
+    if datasets {
+        progress.begin("checking", used.len() as u64, "datasets");
+        for (name, episodes) in &used {
+            files.extend(dataset_files(registry, name, *episodes)?);
             progress.advance(1);
         }
-        archive.into_inner()?.flush()?;
         progress.end();
-        Ok(Ok(()))
     }
+    let manifest = Manifest {
+        format: FORMAT,
+        harness_version: env!("CARGO_PKG_VERSION").into(),
+        mujoco_version: versions.mujoco.into(),
+        candle_version: versions.candle.into(),
+        files,
+    };
+    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+    check_room(folder.unwrap_or(Path::new(".")), space(manifest.files.values()))?;
+    // A file that can't be removed only takes disk space.
+    abandoned(folder.unwrap_or(Path::new("."))).iter().for_each(|left| drop(remove_abandoned(left)));
+    let mut refused = None;
+    let written = write_whole(output, |file| {
+        write_pack(registry, &manifest, file, progress)?.map_err(|error| {
+            refused = Some(error);
+            io::Error::other("it was not packed")
+        })
+    });
+    if let Some(error) = refused {
+        return Err(error);
+    }
+    written?;
+    let bytes = output.metadata().map_or(0, |about| about.len());
+    Ok(Packed { runs: runs.len(), datasets: used.len(), files: manifest.files.len(), bytes })
+}
 
-    /// The files of a dataset of which runs used the first `used` episodes, by their path in the results folder.
-    fn dataset_files(&self, name: &str, used: u32) -> Result<BTreeMap<String, FileRecord>, RegistryError> {
-        let folder = self.datasets().join(name);
-        let found = inspect(&folder, &|| ());
-        let path = folder.join(DESCRIPTION);
-        if found.outdated {
-            let reason = "it is in the format of another version".into();
-            return Err(RegistryError::File { path, reason });
+/// Writes a pack. The inner error is that of a file that is packed, and the outer one that of the pack.
+fn write_pack(
+    registry: &Registry,
+    manifest: &Manifest,
+    file: &Path,
+    progress: &dyn Progress,
+) -> io::Result<Result<(), PackError>> {
+    let mut archive = tar::Builder::new(BufWriter::new(File::create(file)?));
+    append(&mut archive, MANIFEST, &manifest.sealed())?;
+    progress.begin("packing", manifest.files.len() as u64, "files");
+    for (path, file) in &manifest.files {
+        if progress.cancelled() {
+            return Ok(Err(PackError::Cancelled));
         }
-        if let Some(reason) = found.undescribed {
-            return Err(RegistryError::File { path, reason });
+        match file.read(&registry.root().join(path)) {
+            Ok(bytes) => append(&mut archive, path, &bytes)?,
+            Err(error) => return Ok(Err(error.into())),
         }
-        if let Some((path, reason)) = found.damaged.into_iter().next() {
-            return Err(RegistryError::File { path, reason });
-        }
-        let episodes = found.promised.max(used);
-        let missing = (0..episodes).filter(|index| !found.whole.contains_key(index)).count();
-        if missing > 0 {
-            return Err(RegistryError::Incomplete { path: folder, missing, episodes });
-        }
-        let paths = found.whole.into_iter().filter(|(index, _)| *index < episodes).map(|(_, path)| path);
-        paths.chain([path]).map(|path| listed(&format!("datasets/{name}"), &path)).collect()
+        progress.advance(1);
     }
+    archive.into_inner()?.flush()?;
+    progress.end();
+    Ok(Ok(()))
+}
+
+/// The files of a dataset of which runs used the first `used` episodes, by their path in the results folder.
+fn dataset_files(
+    registry: &Registry,
+    name: &str,
+    used: u32,
+) -> Result<BTreeMap<String, FileRecord>, RegistryError> {
+    let folder = registry.datasets().join(name);
+    let found = inspect(&folder, &|| ());
+    let path = folder.join(DESCRIPTION);
+    if found.outdated {
+        let reason = "it is in the format of another version".into();
+        return Err(RegistryError::File { path, reason });
+    }
+    if let Some(reason) = found.undescribed {
+        return Err(RegistryError::File { path, reason });
+    }
+    if let Some((path, reason)) = found.damaged.into_iter().next() {
+        return Err(RegistryError::File { path, reason });
+    }
+    let episodes = found.promised.max(used);
+    let missing = (0..episodes).filter(|index| !found.whole.contains_key(index)).count();
+    if missing > 0 {
+        return Err(RegistryError::Incomplete { path: folder, missing, episodes });
+    }
+    let paths = found.whole.into_iter().filter(|(index, _)| *index < episodes).map(|(_, path)| path);
+    paths.chain([path]).map(|path| listed(&format!("datasets/{name}"), &path)).collect()
 }
 
 /// The number of episodes that these runs used of each dataset; 0 for imported datasets.
@@ -434,125 +432,126 @@ impl New<'_> {
     }
 }
 
-impl Registry {
-    /// Adds the runs and datasets of a pack to the results folder. Those that are there with the same content are
-    /// skipped.
-    ///
-    /// All files are written to a folder of their own and checked first. Then each run and dataset is renamed to its
-    /// place as a whole.
-    ///
-    /// # Errors
-    /// When the file is no pack, is damaged or has the format of another version, something in it exists with other
-    /// content, the disk is too small, or the caller cancels. Nothing is changed then. When a folder can't be renamed,
-    /// those before it stay, and the same call continues.
-    pub fn unpack(&self, path: &Path, progress: &dyn Progress) -> Result<Unpacked, PackError> {
-        let pack = Pack::open(path)?;
-        let new = self.new_in(&pack.manifest, progress)?;
-        let is_new = |(path, _): &(&String, &FileRecord)| new.contains(path);
-        let needed = space(pack.manifest.files.iter().filter(is_new).map(|(_, file)| file));
-        check_room(&self.root, needed)?;
-        let existed = self.root.exists();
-        let moved = Staging::new(&self.root).and_then(|staging| {
-            pack.extract(&new, &staging, &self.root, progress)?;
-            pack.check(&new, &staging)?;
-            self.move_in(&new, &staging)
-        });
-        if moved.is_err() && !existed {
-            // Fails unless it is empty.
-            let _ = std::fs::remove_dir(&self.root);
-        }
-        moved?;
-        let runs = new.folders.iter().filter(|folder| is_run(folder)).count();
-        let datasets = new.changed().count() - runs;
-        Ok(Unpacked { runs, datasets, same: new.same, lacking: self.lacking(&pack.manifest) })
+/// Adds the runs and datasets of a pack to the results folder. Those that are there with the same content are
+/// skipped.
+///
+/// All files are written to a folder of their own and checked first. Then each run and dataset is renamed to its
+/// place as a whole.
+///
+/// # Errors
+/// When the file is no pack, is damaged or has the format of another version, something in it exists with other
+/// content, the disk is too small, or the caller cancels. Nothing is changed then. When a folder can't be renamed,
+/// those before it stay, and the same call continues.
+pub fn unpack(registry: &Registry, path: &Path, progress: &dyn Progress) -> Result<Unpacked, PackError> {
+    let pack = Pack::open(path)?;
+    let new = new_in(registry, &pack.manifest, progress)?;
+    let is_new = |(path, _): &(&String, &FileRecord)| new.contains(path);
+    let needed = space(pack.manifest.files.iter().filter(is_new).map(|(_, file)| file));
+    check_room(registry.root(), needed)?;
+    let existed = registry.root().exists();
+    let moved = Staging::new(registry.root()).and_then(|staging| {
+        pack.extract(&new, &staging, registry.root(), progress)?;
+        pack.check(&new, &staging)?;
+        move_in(registry, &new, &staging)
+    });
+    if moved.is_err() && !existed {
+        // Fails unless it is empty.
+        let _ = std::fs::remove_dir(registry.root());
     }
+    moved?;
+    let runs = new.folders.iter().filter(|folder| is_run(folder)).count();
+    let datasets = new.changed().count() - runs;
+    Ok(Unpacked { runs, datasets, same: new.same, lacking: lacking(registry, &pack.manifest) })
+}
 
-    /// Compares a pack with the results folder.
-    fn new_in<'a>(&self, manifest: &'a Manifest, progress: &dyn Progress) -> Result<New<'a>, PackError> {
-        let (mut new, mut differing) = (New::default(), Vec::new());
-        let folders = manifest.folders();
-        progress.begin("comparing", folders.len() as u64, "runs and datasets");
-        for (folder, files) in folders {
-            if progress.cancelled() {
-                return Err(PackError::Cancelled);
-            }
-            match self.compare(folder, &files) {
-                There::Nothing => drop(new.folders.insert(folder)),
-                There::Same => new.same += 1,
-                There::Lacks(files) => new.files.extend(files),
-                There::Differs(file) => differing.push((self.root.join(folder), file)),
-            }
-            progress.advance(1);
+/// Compares a pack with the results folder.
+fn new_in<'a>(
+    registry: &Registry,
+    manifest: &'a Manifest,
+    progress: &dyn Progress,
+) -> Result<New<'a>, PackError> {
+    let (mut new, mut differing) = (New::default(), Vec::new());
+    let folders = manifest.folders();
+    progress.begin("comparing", folders.len() as u64, "runs and datasets");
+    for (folder, files) in folders {
+        if progress.cancelled() {
+            return Err(PackError::Cancelled);
         }
-        progress.end();
-        let others = differing.len().saturating_sub(1);
-        if let Some((folder, file)) = differing.into_iter().next() {
-            return Err(PackError::Differs { folder, file, others });
+        match compare(registry, folder, &files) {
+            There::Nothing => drop(new.folders.insert(folder)),
+            There::Same => new.same += 1,
+            There::Lacks(files) => new.files.extend(files),
+            There::Differs(file) => differing.push((registry.root().join(folder), file)),
         }
-        for folder in new.changed() {
-            let folder = self.root.join(folder);
-            if let Some(holder) = FolderLock::holder(&folder) {
-                return Err(PackError::Busy { folder, holder });
-            }
-        }
-        Ok(new)
+        progress.advance(1);
     }
-
-    /// Compares a folder of a pack with the same folder here.
-    fn compare(&self, folder: &str, files: &[(&str, &FileRecord)]) -> There {
-        let target = self.root.join(folder);
-        if is_vacant(&target) {
-            return There::Nothing;
-        }
-        let (there, missing): (Vec<_>, Vec<_>) =
-            files.iter().partition(|(name, _)| target.join(name).exists());
-        let differing = there.into_iter().find(|(name, file)| !is_same(&target, name, file));
-        match differing.or(missing.first().copied().filter(|_| is_run(folder))) {
-            Some((name, _)) => There::Differs((*name).to_owned()),
-            None if missing.is_empty() => There::Same,
-            None => There::Lacks(missing.iter().map(|(name, _)| format!("{folder}/{name}")).collect()),
+    progress.end();
+    let others = differing.len().saturating_sub(1);
+    if let Some((folder, file)) = differing.into_iter().next() {
+        return Err(PackError::Differs { folder, file, others });
+    }
+    for folder in new.changed() {
+        let folder = registry.root().join(folder);
+        if let Some(holder) = FolderLock::holder(&folder) {
+            return Err(Busy { folder, holder }.into());
         }
     }
+    Ok(new)
+}
 
-    /// Renames the new folders and files from the staging folder to their places, datasets first.
-    fn move_in(&self, new: &New, staging: &Staging) -> Result<(), PackError> {
-        for path in &new.files {
-            let target = self.root.join(path);
-            let _lock = lock(target.parent().unwrap_or(&self.root))?;
-            rename(&staging.path().join(path), &target)?;
-        }
-        for (index, folder) in new.folders.iter().enumerate() {
-            let target = self.root.join(folder);
-            if target.exists() {
-                let _lock = lock(&target)?;
-                // A folder that contains a lock can't be replaced. If it contains anything else, it stays, and renaming
-                // fails.
-                if is_vacant(&target) {
-                    rename(&target, &staging.path().join(format!("vacant-{index}")))?;
-                }
-            }
-            rename(&staging.path().join(folder), &target)?;
-        }
-        Ok(())
+/// Compares a folder of a pack with the same folder here.
+fn compare(registry: &Registry, folder: &str, files: &[(&str, &FileRecord)]) -> There {
+    let target = registry.root().join(folder);
+    if is_vacant(&target) {
+        return There::Nothing;
     }
+    let (there, missing): (Vec<_>, Vec<_>) = files.iter().partition(|(name, _)| target.join(name).exists());
+    let differing = there.into_iter().find(|(name, file)| !is_same(&target, name, file));
+    match differing.or(missing.first().copied().filter(|_| is_run(folder))) {
+        Some((name, _)) => There::Differs((*name).to_owned()),
+        None if missing.is_empty() => There::Same,
+        None => There::Lacks(missing.iter().map(|(name, _)| format!("{folder}/{name}")).collect()),
+    }
+}
 
-    /// Returns a run for each dataset that runs of a pack used and that is missing.
-    fn lacking(&self, manifest: &Manifest) -> Vec<RunRecord> {
-        let mut users = BTreeMap::<String, RunRecord>::new();
-        for folder in manifest.folders().into_keys().filter(|folder| is_run(folder)) {
-            let Ok(Some(record)) = self.read_run(&self.root.join(folder)) else { continue };
-            if users.get(&record.dataset).is_none_or(|other| other.episodes() < record.episodes()) {
-                users.insert(record.dataset.clone(), record);
+/// Renames the new folders and files from the staging folder to their places, datasets first.
+fn move_in(registry: &Registry, new: &New, staging: &Staging) -> Result<(), PackError> {
+    for path in &new.files {
+        let target = registry.root().join(path);
+        let _lock = lock(target.parent().unwrap_or(registry.root()))?;
+        rename(&staging.path().join(path), &target)?;
+    }
+    for (index, folder) in new.folders.iter().enumerate() {
+        let target = registry.root().join(folder);
+        if target.exists() {
+            let _lock = lock(&target)?;
+            // A folder that contains a lock can't be replaced. If it contains anything else, it stays, and renaming
+            // fails.
+            if is_vacant(&target) {
+                rename(&target, &staging.path().join(format!("vacant-{index}")))?;
             }
         }
-        users.into_values().filter(|record| !record.published && self.lacks_dataset_of(record)).collect()
+        rename(&staging.path().join(folder), &target)?;
     }
+    Ok(())
+}
 
-    fn lacks_dataset_of(&self, record: &RunRecord) -> bool {
-        let found = inspect(&self.datasets().join(&record.dataset), &|| ());
-        let episodes = if found.imported { found.promised } else { record.episodes() };
-        found.undescribed.is_some() || (0..episodes).any(|index| !found.whole.contains_key(&index))
+/// Returns a run for each dataset that runs of a pack used and that is missing.
+fn lacking(registry: &Registry, manifest: &Manifest) -> Vec<RunRecord> {
+    let mut users = BTreeMap::<String, RunRecord>::new();
+    for folder in manifest.folders().into_keys().filter(|folder| is_run(folder)) {
+        let Ok(Some(record)) = registry.read_run(&registry.root().join(folder)) else { continue };
+        if users.get(&record.dataset).is_none_or(|other| other.episodes() < record.episodes()) {
+            users.insert(record.dataset.clone(), record);
+        }
     }
+    users.into_values().filter(|record| !record.published && lacks_dataset_of(registry, record)).collect()
+}
+
+fn lacks_dataset_of(registry: &Registry, record: &RunRecord) -> bool {
+    let found = inspect(&registry.datasets().join(&record.dataset), &|| ());
+    let episodes = if found.imported { found.promised } else { record.episodes() };
+    found.undescribed.is_some() || (0..episodes).any(|index| !found.whole.contains_key(&index))
 }
 
 /// Whether a folder does not exist, or contains nothing but a lock.
@@ -568,8 +567,7 @@ fn is_same(folder: &Path, name: &str, file: &FileRecord) -> bool {
 }
 
 fn lock(folder: &Path) -> Result<FolderLock, PackError> {
-    let busy = || PackError::Busy { folder: folder.to_owned(), holder: FolderLock::other(folder) };
-    FolderLock::attempt(folder)?.ok_or_else(busy)
+    FolderLock::attempt(folder)?.ok_or_else(|| Busy::at(folder).into())
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), WriteError> {

@@ -1,0 +1,30 @@
+//! Moves runs and datasets: into one file and out of it (packs), to a folder for version control (published copies),
+//! and away (removal). Reports the space that they take.
+
+mod pack;
+mod publish;
+mod removal;
+
+pub use pack::{PackError, Packed, Unpacked, pack, unpack};
+pub use publish::{PublishError, Published, publish};
+pub use removal::{Garbage, Removable, Usage, garbage, remove, usage};
+
+use harness_shared::files::FolderLock;
+use std::path::{Path, PathBuf};
+
+/// Another process works in a folder.
+#[derive(Debug, thiserror::Error)]
+#[error("{holder} works in {}; try again when it has ended", folder.display())]
+pub struct Busy {
+    /// The folder.
+    pub folder: PathBuf,
+    /// The process.
+    pub holder: String,
+}
+
+impl Busy {
+    /// The error that another process has locked this folder.
+    fn at(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), holder: FolderLock::other(folder) }
+    }
+}

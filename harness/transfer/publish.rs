@@ -1,0 +1,161 @@
+//! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
+
+use super::{Busy, Removable, remove};
+use harness_registry::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network};
+use harness_shared::progress::Progress;
+use harness_tables::schema::Table;
+use harness_tables::{TableError, TableFile};
+use polars::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Why runs can't be published.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishError {
+    /// A file can't be read or written.
+    #[error(transparent)]
+    Registry(#[from] RegistryError),
+    /// The target of publishing is the results folder itself.
+    #[error("{} can't be published into itself; choose another folder", .0.display())]
+    IntoItself(PathBuf),
+    /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
+    #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
+    NotPublished(PathBuf),
+    /// Another process works in the folder of a copy.
+    #[error(transparent)]
+    Busy(#[from] Busy),
+}
+
+/// The result of [`publish`].
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Published {
+    /// Number of published runs.
+    pub runs: usize,
+    /// Size of their files in bytes, without the records.
+    pub bytes: u64,
+}
+
+/// Copies `chosen` runs of a registry to the registry `to`: records, specs and tables, and their networks if
+/// `networks` is true. Tables about single samples are copied without most of their rows.
+///
+/// All epochs and metrics are copied. Of each cell's lowest seed, the predictions of the last two joints and links
+/// and all images are copied. The forces are copied of one run for each dataset. Of runs with a `variant`, only
+/// epochs and metrics are copied; of runs under a reading, also the forces of one run for each dataset, reading and
+/// role. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
+///
+/// # Errors
+/// When `to` is the same registry or has such a run that is not a published copy, a process works on a copy, or a file
+/// can't be read or written. Nothing that was published before is changed for a run with a damaged file.
+pub fn publish<'a>(
+    registry: &Registry,
+    chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
+    to: &Registry,
+    networks: bool,
+    progress: &dyn Progress,
+) -> Result<Published, PublishError> {
+    if registry.contains(to.root()) {
+        return Err(PublishError::IntoItself(registry.root().to_owned()));
+    }
+    let chosen: Vec<_> = chosen.into_iter().collect();
+    let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
+    let targets: BTreeSet<PathBuf> =
+        chosen.iter().map(|(_, record)| to.folder_of(record).path().to_owned()).collect();
+    let mut published_before = to.recorded();
+    let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
+    // Other runs have networks and rows that a copy would remove, or a process works on them.
+    if let Some((folder, _)) =
+        published_before.iter().find(|(_, other)| !other.published && is_replaced(other))
+    {
+        return Err(PublishError::NotPublished(folder.clone()));
+    }
+    published_before.retain(|(folder, _)| !targets.contains(folder));
+    let mut published = Published::default();
+    progress.begin("publishing", chosen.len() as u64, "runs");
+    for (folder, record) in chosen {
+        // All files are read before the first one is written, because one of them may be damaged.
+        let is_whole = |name: &&String| *name == SPEC || networks && is_network(name);
+        let whole = record.files.keys().filter(is_whole);
+        let whole: Vec<_> = whole
+            .map(|name| Ok((name.clone(), record.read_file(folder, name)?)))
+            .collect::<Result<_, RegistryError>>()?;
+        let tables = shown.tables(folder, record)?;
+        let copy = to.folder_of(record);
+        let Some(claimed) = to.claim(&copy)? else { return Err(Busy::at(copy.path()).into()) };
+        let record = claimed.copy(record, whole, tables)?;
+        published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
+        published.runs += 1;
+        for (folder, other) in published_before.iter().filter(|(_, other)| is_same(other, &record)) {
+            if remove(to, &Removable::new(folder, other.name()))?.is_some() {
+                return Err(Busy::at(folder).into());
+            }
+        }
+        progress.advance(1);
+    }
+    progress.end();
+    Ok(published)
+}
+
+/// Whether two runs are of the same cell and seed.
+fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
+    (&a.experiment, a.spec.label(), a.world()) == (&b.experiment, b.spec.label(), b.world())
+}
+
+/// Of which runs single samples are kept.
+struct Shown {
+    /// The lowest seed of each cell of an experiment.
+    seeds: BTreeMap<Cell, u64>,
+    /// The run that the forces of a dataset are kept of.
+    forces: BTreeMap<ForcesOf, String>,
+}
+
+impl Shown {
+    fn of<'a>(records: impl Iterator<Item = &'a RunRecord>) -> Self {
+        let mut shown = Self { seeds: BTreeMap::new(), forces: BTreeMap::new() };
+        for record in records {
+            let is_plain = record.spec.variant.is_empty();
+            if is_plain {
+                let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
+                *lowest = record.spec.seed.min(*lowest);
+            }
+            if is_plain || record.spec.reading().is_some() {
+                shown.forces.entry(forces_of(record)).or_insert_with(|| record.run.clone());
+            }
+        }
+        shown
+    }
+
+    /// The rows of each of a run's tables that are kept. Compares each file with the record.
+    fn tables(&self, folder: &Path, record: &RunRecord) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
+        let kept = record.tables().map(|table| {
+            let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
+            Ok((table, self.keep(table, record, rows).map_err(TableError::from)?))
+        });
+        kept.collect()
+    }
+
+    /// The rows of a run's table that are kept.
+    fn keep(&self, table: Table, record: &RunRecord, rows: DataFrame) -> PolarsResult<DataFrame> {
+        let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&record.spec.seed);
+        match table {
+            Table::Predictions | Table::AllPredictions if is_lowest_seed => {
+                let is_last = record.layout.modalities.iter().map(|definition| {
+                    let last = definition.last_elements().into_iter().map(|index| index as i64);
+                    let index = last.map(|index| col("index").eq(lit(index))).reduce(Expr::or);
+                    col("modality").eq(lit(definition.name.name())).and(index.unwrap_or(lit(false)))
+                });
+                rows.lazy().filter(is_last.reduce(Expr::or).unwrap_or(lit(false))).collect()
+            }
+            Table::Frames if is_lowest_seed => Ok(rows),
+            Table::Forces if self.forces.get(&forces_of(record)) == Some(&record.run) => Ok(rows),
+            Table::Predictions | Table::AllPredictions | Table::Frames | Table::Forces => Ok(rows.clear()),
+            _ => Ok(rows),
+        }
+    }
+}
+
+/// An experiment, the name of one of its cells, and the world of the cell's runs.
+type Cell = (String, String, WorldOf);
+
+fn cell(record: &RunRecord) -> Cell {
+    (record.experiment.clone(), record.spec.cell(), record.world())
+}
