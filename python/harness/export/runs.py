@@ -141,14 +141,18 @@ class Run:
     def metrics(self) -> dict[str, float]:
         """Returns the metrics over all joints, links or pixels, on the test samples, of network and baselines.
 
-        A name is `network/prediction/contact_force/mae`, or `…/mae.` with a direction. MLflow stores metrics in files,
-        so no name may be that of another one's folder.
+        A name is `network/prediction/contact_force/mae`, followed by `.` and a direction, by `.h5` for 5 samples ahead,
+        and by `.given-arm-proprioception` for a model that got only these inputs. MLflow stores metrics in files, so no
+        name may be that of another one's folder.
         """
-        key = "model, task, modality, metric, direction"
+        key = "model, task, modality, metric, direction, horizon, given"
         found = {}
-        for row in self._rows(f"select {key}, value from metrics", key, "index is null and value is not null"):
+        for row in self._rows(f"select {key}, value from all_metrics", key, "index is null and value is not null"):
+            name = f"{row['model']}/{row['task']}/{row['modality']}/{row['metric']}"
             direction = f".{row['direction']}" if row["direction"] else ""
-            found[f"{row['model']}/{row['task']}/{row['modality']}/{row['metric']}{direction}"] = row["value"]
+            horizon = f".h{row['horizon']}" if row["horizon"] > 1 else ""
+            given = f".given-{row['given'].replace(',', '-')}" if row["given"] else ""
+            found[name + direction + horizon + given] = row["value"]
         return found
 
     def _rows(self, select: str, order: str, condition: str = "1 = 1") -> list[dict[str, Any]]:
