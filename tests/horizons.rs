@@ -14,14 +14,18 @@ use polars::prelude::*;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
 
 /// Commands whose answers must not depend on further rows. `{}` is a folder of their own.
-const COMMANDS: [&[&str]; 17] = [
+const COMMANDS: [&[&str]; 18] = [
     &["ls"],
     &["verify"],
     &["show", "senses/empty-z64-role=angles-seed0"],
+    &["diff", "senses/empty-z64-role=angles-seed0", "senses/empty-z64-role=angles_and_arm-seed0"],
     &["compare"],
     &["compare", "multi_to_multi", "--models", "network,ridge"],
     &["compare", "senses", "--format", "csv"],
@@ -165,7 +169,85 @@ fn further_rows_change_no_other_answer() {
         assert_eq!(of("horizon <= 1 and given is null"), usual);
         assert_eq!(of("horizon = 0 and task = 'prediction'"), 0);
     }
+    let pages = [&plain, &further].map(|results| served(results));
+    assert_eq!(pages[0], pages[1]);
+    // What copies or packs the runs takes the further rows along, and changes no other.
+    let moved = [&plain, &further].map(|results| moved(results));
+    for (expected, found) in moved[0].iter().zip(&moved[1]) {
+        for command in &COMMANDS[..COMMANDS.len() - 3] {
+            if ["verify", "show"].contains(&command[0])
+                || command.iter().any(|word| word.starts_with("multi"))
+            {
+                continue;
+            }
+            assert_eq!(
+                answer(expected, command),
+                answer(found, command),
+                "{command:?} in {}",
+                found.display()
+            );
+        }
+        assert_eq!(count(found, "all_metrics"), 3 * count(expected, "metrics"));
+        fs::remove_dir_all(expected).and_then(|()| fs::remove_dir_all(found)).unwrap();
+    }
     [plain, further].iter().for_each(|folder| fs::remove_dir_all(folder).unwrap());
+}
+
+/// What `harness serve` sends of metrics of the next sample: of a run, of a query, and the claims.
+fn served(results: &Path) -> Vec<Value> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
+    let command = command.arg("--results").arg(results).args(["serve", "--port", "0"]);
+    let mut server = Serving(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut address = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut address).unwrap();
+    let url = address.split_whitespace().next().unwrap();
+    let host = url.trim_start_matches("http://").trim_end_matches('/');
+    let ask = |request: &str, body: &str| {
+        let mut stream = TcpStream::connect(host).unwrap();
+        let length = body.len();
+        let head = format!("{request} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n{body}");
+        stream.write_all(head.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        assert!(head.starts_with("HTTP/1.1 200 OK") && body.len() > 1000, "{answer}");
+        let mut body: Value = serde_json::from_str(body).unwrap();
+        // What is about further horizons, and how long a query took.
+        if let Some(values) = body.as_object_mut() {
+            values.retain(|name, _| !["horizons", "seconds"].contains(&name.as_str()));
+        }
+        body
+    };
+    let run = runs(results).into_iter().find(|run| run.to_str().unwrap().contains("senses/empty")).unwrap();
+    let run = format!("senses/{}", run.file_name().unwrap().to_str().unwrap());
+    let sql =
+        "select run, metric, avg(value) as mean, count(*) as rows from metrics group by all order by all";
+    vec![
+        ask(&format!("GET /api/run?run={}", run.replace('/', "%2F").replace('=', "%3D")), ""),
+        ask("GET /api/claims", ""),
+        ask("POST /api/sql", sql),
+    ]
+}
+
+/// A server that is stopped when this value is dropped, also if the test fails.
+struct Serving(Child);
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.0.kill().and_then(|()| self.0.wait());
+    }
+}
+
+/// A published copy of an experiment's runs, and the same runs out of a pack.
+fn moved(results: &Path) -> [PathBuf; 2] {
+    let place = |name: &str| fresh(&format!("{name}_{}", results.file_name().unwrap().to_str().unwrap()));
+    let [copy, unpacked] = ["copied", "unpacked"].map(place);
+    succeed(results, &["publish", "senses", "--output", copy.to_str().unwrap()]);
+    let pack = unpacked.with_extension("harness");
+    let _ = fs::remove_file(&pack);
+    succeed(results, &["pack", "senses", "--output", pack.to_str().unwrap()]);
+    succeed(&unpacked, &["unpack", pack.to_str().unwrap()]);
+    [copy, unpacked]
 }
 
 #[test]
