@@ -92,6 +92,20 @@ fn commands_take_runs_of_external_models() {
     assert_eq!(answer, "architecture,without,runs\nmulti_to_multi,false,2\nmy_gru,true,2\nother,true,1\n");
     let compared = succeed(&results, &["compare", "smoke", "--format", "csv", "--where", "scenario=empty"]);
     assert!(compared.contains("model=my_gru") && compared.contains("model=other"), "{compared}");
+    // A model of another program can be named, as networks and baselines can.
+    let means =
+        |models: &str| succeed(&results, &["compare", "smoke", "--models", models, "--format", "csv"]);
+    let named = means("my_gru");
+    assert!(
+        named.lines().count() > 1 && named.lines().skip(1).all(|row| row.contains("model=my_gru")),
+        "{named}"
+    );
+    let (both, usual) = (means("ridge,my_gru"), means("ridge"));
+    assert_eq!(both.lines().count(), named.lines().count() + usual.lines().count() - 1);
+    let refused = finish(&mut harness(&results, &["compare", "smoke", "--models", "my_lstm"]));
+    let known =
+        "there is no model 'my_lstm'; there are network, persistence, ridge, training_mean, my_gru, other\n";
+    assert!(refused.code == 2 && refused.stderr.ends_with(known), "{}", refused.stderr);
     assert!(succeed(&results, &["verify"]).contains("all files are intact"));
     assert!(succeed(&results, &["show", &runs[0]]).contains("my_gru"));
     // The runs of the experiment are still done, and none of the others is repeated.

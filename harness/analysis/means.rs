@@ -60,6 +60,13 @@ pub struct Of {
     pub model: String,
 }
 
+impl Of {
+    /// Returns the name of the model of another program that the value is of, if it is of one.
+    pub fn external(&self) -> Option<&str> {
+        model_parts(&self.variant).1.filter(|_| self.model == NETWORK)
+    }
+}
+
 /// The means of the finished runs of some experiments, or of all, as a table with one row for each mean.
 ///
 /// # Errors

@@ -38,9 +38,14 @@ pub struct Compare {
         default_value = "smape,wmape,r2,relative_error"
     )]
     metrics: Vec<String>,
-    /// The network and the baselines, separated by commas
-    #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = "network,persistence,ridge,training_mean",
-          value_parser = PossibleValuesParser::new(models::ALL))]
+    /// The models, separated by commas: network, which stands for all networks and models of other programs, the
+    /// baselines persistence, ridge and training_mean, or the name of a model of another program
+    #[arg(
+        long,
+        value_name = "MODEL",
+        value_delimiter = ',',
+        default_value = "network,persistence,ridge,training_mean"
+    )]
     models: Vec<String>,
     /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
@@ -80,6 +85,14 @@ pub enum CompareError {
         /// The metrics that users added to runs.
         own: BTreeSet<String>,
     },
+    /// A model is none of the harness, and no run is of a model of that name.
+    #[error("there is no model '{wanted}'; there are {known}")]
+    Model {
+        /// The name.
+        wanted: String,
+        /// The models that there are.
+        known: String,
+    },
     /// No column of networks has the heading of `--difference-from`.
     #[error("there is no column '{wanted}'; the columns of networks are {}", columns.join(", "))]
     Column {
@@ -111,9 +124,11 @@ impl Compare {
             all.extend(analysis.skill_horizons_by(&self.by)?);
         }
         self.check_metrics(&all)?;
+        self.check_models(&all)?;
         let is_wanted = |mean: &Mean| {
+            let is_model = |name: &String| *name == mean.of.model || mean.of.external() == Some(name);
             self.metrics.contains(&mean.of.metric)
-                && self.models.contains(&mean.of.model)
+                && self.models.iter().any(is_model)
                 && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
         };
         let means: Vec<Mean> = all.into_iter().filter(is_wanted).collect();
@@ -168,6 +183,16 @@ impl Compare {
             }
         }
         Ok(())
+    }
+
+    /// Returns an error if a model is none of the harness, and no run is of a model of that name.
+    fn check_models(&self, means: &[Mean]) -> Result<(), CompareError> {
+        let external: BTreeSet<&str> = means.iter().filter_map(|mean| mean.of.external()).collect();
+        let known: Vec<&str> = models::ALL.into_iter().chain(external).collect();
+        match self.models.iter().find(|wanted| !known.contains(&wanted.as_str())) {
+            Some(wanted) => Err(CompareError::Model { wanted: wanted.clone(), known: known.join(", ") }),
+            None => Ok(()),
+        }
     }
 }
 
