@@ -277,7 +277,7 @@ impl<'a> Binder<'a> {
             E::Floor { expr, field: ast::CeilFloorKind::DateTimeField(ast::DateTimeField::NoDateTime) } => {
                 functions::call("floor", vec![self.bind(expr)?], true)
             }
-            E::Substring { expr, substring_from, substring_for, .. } => {
+            E::Substring { expr, substring_from, substring_for, shorthand, .. } => {
                 let start = match substring_from {
                     Some(start) => self.bind(start)?,
                     None => Value::literal(AnyValue::Int64(1), Type::Integer),
@@ -286,21 +286,9 @@ impl<'a> Binder<'a> {
                 if let Some(count) = substring_for {
                     parts.push(self.bind(count)?);
                 }
-                functions::call("substr", parts, true)
+                functions::call(if *shorthand { "substr" } else { "substring" }, parts, true)
             }
-            E::Trim { expr, trim_where, trim_what, trim_characters } => {
-                let name = match trim_where {
-                    None | Some(ast::TrimWhereField::Both) => "trim",
-                    Some(ast::TrimWhereField::Leading) => "ltrim",
-                    Some(ast::TrimWhereField::Trailing) => "rtrim",
-                };
-                let mut arguments = vec![self.bind(expr)?];
-                let characters = trim_characters.iter().flatten().chain(trim_what.as_deref());
-                for characters in characters {
-                    arguments.push(self.bind(characters)?);
-                }
-                functions::call(name, arguments, true)
-            }
+            E::Trim { .. } => functions::call("trim", Vec::new(), true),
             E::Tuple(_) => {
                 refuse!("'{}' compares several columns at once; compare each with AND, or join", shown(expr))
             }

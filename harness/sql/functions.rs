@@ -10,36 +10,44 @@ use sqlparser::ast;
 type RealFunction = fn(f64) -> f64;
 
 /// Functions of one real number that return a real number.
-const REAL: [(&str, RealFunction); 19] = [
+const REAL: [(&str, RealFunction); 12] = [
     ("sqrt", f64::sqrt),
-    ("cbrt", f64::cbrt),
     ("exp", f64::exp),
     ("ln", f64::ln),
-    ("log", f64::log10),
     ("log10", f64::log10),
     ("log2", f64::log2),
     ("sin", f64::sin),
     ("cos", f64::cos),
-    ("tan", f64::tan),
-    ("asin", f64::asin),
-    ("acos", f64::acos),
-    ("atan", f64::atan),
     ("degrees", f64::to_degrees),
     ("radians", f64::to_radians),
     ("floor", f64::floor),
     ("ceil", f64::ceil),
-    ("ceiling", f64::ceil),
     ("trunc", f64::trunc),
 ];
 
 /// The names of all other functions of one row.
-const OTHER: &str = "abs sign round power pow mod atan2 pi isnan isinf isfinite greatest least coalesce ifnull nullif \
-    upper lower length char_length substr substring left right trim ltrim rtrim replace concat \
-    starts_with ends_with contains split_part";
+const OTHER: &str = "abs round power pow mod atan2 isnan isinf isfinite greatest least coalesce nullif upper lower \
+    length substr left right replace concat starts_with ends_with contains split_part";
 
 /// The names of the aggregates.
-const AGGREGATES: &str = "count count_if sum avg mean min max stddev stddev_samp stddev_pop variance var_samp var_pop \
-    median quantile_cont bool_and bool_or";
+const AGGREGATES: &str =
+    "count count_if sum avg min max stddev variance median quantile_cont bool_and bool_or";
+
+/// Functions of other databases, and what to write instead.
+const ELSEWHERE: [(&str, &str); 12] = [
+    ("log", "log10, or ln for the natural logarithm"),
+    ("cbrt", "power(x, 1.0 / 3)"),
+    ("tan asin acos atan", "sin, cos and atan2"),
+    ("pi", "radians(180)"),
+    ("sign", "CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END"),
+    ("ceiling", "ceil"),
+    ("ifnull", "coalesce"),
+    ("char_length", "length"),
+    ("substring", "substr(text, first, count)"),
+    ("trim ltrim rtrim", "replace(text, ' ', '')"),
+    ("mean", "avg"),
+    ("stddev_samp stddev_pop var_samp var_pop", "stddev or variance, which are those of a sample"),
+];
 
 /// The functions that fail for some values.
 pub const FALLIBLE: [&str; 2] = ["abs", "mod"];
@@ -67,7 +75,7 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
     let arguments: Vec<Value> = arguments.into_iter().map(Value::for_computing).collect();
     if let Some((_, function)) = REAL.iter().find(|(known, _)| *known == name) {
         let value = one_number(name, arguments)?;
-        let rounds = matches!(name, "floor" | "ceil" | "ceiling" | "trunc");
+        let rounds = matches!(name, "floor" | "ceil" | "trunc");
         return match value.kind {
             Type::Integer if rounds => Ok(value),
             _ => Ok(Value::new(of_reals(value.to(Type::Real), *function), Type::Real)),
@@ -89,17 +97,6 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
             let expr = of_two::<Int64Type>(value.to(Type::Integer), zero, Type::Integer, false, absolute);
             Ok(Value::new(expr, Type::Integer))
         }
-        "sign" => {
-            let value = one_number(name, arguments)?;
-            let zero = Value::literal(AnyValue::Int64(0), Type::Integer).to(value.kind);
-            let value = match value.kind {
-                // The sign of NaN is 0, but Polars compares it as greater than all numbers.
-                Type::Real => value.expr.fill_nan(zero.clone()),
-                _ => value.expr,
-            };
-            let (above, below) = (value.clone().gt(zero.clone()), value.lt(zero));
-            Ok(Value::new(above.cast(DataType::Int64) - below.cast(DataType::Int64), Type::Integer))
-        }
         "round" => round(arguments),
         "power" | "pow" | "atan2" => {
             let [a, b] = take(name, arguments)?;
@@ -110,10 +107,6 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
             let [value, divisor] = take(name, arguments)?;
             numbers(&[value.clone(), divisor.clone()])?;
             arithmetic(value, '%', divisor, strict)
-        }
-        "pi" => {
-            let [] = take(name, arguments)?;
-            Ok(Value::literal(AnyValue::Float64(std::f64::consts::PI), Type::Real))
         }
         "isnan" | "isinf" | "isfinite" => {
             let value = one_number(name, arguments)?.to(Type::Real);
@@ -128,9 +121,9 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
             numbers(&arguments)?;
             extreme(name, arguments)
         }
-        "coalesce" | "ifnull" => {
-            if arguments.is_empty() || name == "ifnull" && arguments.len() != 2 {
-                return refuse!("{name} takes {} values", if name == "ifnull" { "two" } else { "several" });
+        "coalesce" => {
+            if arguments.is_empty() {
+                return refuse!("coalesce takes several values");
             }
             let kind = one_type(name, &arguments)?;
             let values: Vec<Expr> = arguments.into_iter().map(|value| value.to(kind)).collect();
@@ -151,12 +144,13 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
                 arguments.into_iter().map(|value| Ok(text(value)?.expr)).collect::<Answer<Vec<_>>>()?;
             Ok(Value::new(concat_str(parts, "", true), Type::Text))
         }
-        "upper" | "lower" | "length" | "char_length" | "substr" | "substring" | "left" | "right" | "trim"
-        | "ltrim" | "rtrim" | "replace" | "starts_with" | "ends_with" | "contains" | "split_part" => {
-            of_text(name, arguments)
-        }
+        "upper" | "lower" | "length" | "substr" | "left" | "right" | "replace" | "starts_with"
+        | "ends_with" | "contains" | "split_part" => of_text(name, arguments),
         _ if has(OF_DATES, name) => no_dates(name),
         _ => {
+            if let Some((_, instead)) = ELSEWHERE.iter().find(|(names, _)| has(names, name)) {
+                return refuse!("there is no function '{name}'; write {instead}");
+            }
             let real = REAL.iter().map(|(name, _)| *name);
             let names: Vec<&str> = real
                 .chain(OTHER.split(' '))
@@ -415,25 +409,18 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         .collect();
     let is_text = rest.iter().all(|value| matches!(value.kind, Type::Text | Type::Null));
     let text = || value.clone().str();
-    let spaces = || lit(" ");
     let (expr, kind) = match (name, words.as_slice(), counts.as_slice()) {
         ("upper", [], _) => (text().to_uppercase(), Type::Text),
         ("lower", [], _) => (text().to_lowercase(), Type::Text),
-        ("length" | "char_length", [], _) => (text().len_chars().cast(DataType::Int64), Type::Integer),
-        ("trim", [], _) => (text().strip_chars(spaces()), Type::Text),
-        ("ltrim", [], _) => (text().strip_chars_start(spaces()), Type::Text),
-        ("rtrim", [], _) => (text().strip_chars_end(spaces()), Type::Text),
-        ("trim", [Some(letters)], _) => (text().strip_chars(lit(*letters)), Type::Text),
-        ("ltrim", [Some(letters)], _) => (text().strip_chars_start(lit(*letters)), Type::Text),
-        ("rtrim", [Some(letters)], _) => (text().strip_chars_end(lit(*letters)), Type::Text),
+        ("length", [], _) => (text().len_chars().cast(DataType::Int64), Type::Integer),
         ("left", _, [Some(count)]) => (text().slice(lit(0_i64), lit(*count)), Type::Text),
         ("right", _, [Some(count)]) => {
             (text().tail(lit(i64::try_from(*count).unwrap_or(i64::MAX))), Type::Text)
         }
-        ("substr" | "substring", _, [Some(start @ 1..)]) => {
+        ("substr", _, [Some(start @ 1..)]) => {
             (text().slice(lit((*start - 1) as i64), lit(u64::MAX)), Type::Text)
         }
-        ("substr" | "substring", _, [Some(start @ 1..), Some(count)]) => {
+        ("substr", _, [Some(start @ 1..), Some(count)]) => {
             (text().slice(lit((*start - 1) as i64), lit(*count)), Type::Text)
         }
         ("replace", [Some(old), Some(new)], _) if !old.is_empty() => {
@@ -456,11 +443,10 @@ fn of_text(name: &str, arguments: Vec<Value>) -> Answer<Value> {
         _ => {
             let takes = match name {
                 "left" | "right" => "a text and a number of characters",
-                "substr" | "substring" => "a text, a position from 1 on, and a number of characters",
+                "substr" => "a text, a position from 1 on, and a number of characters",
                 "replace" => "a text, the text to replace, and its replacement, both in quotes",
                 "split_part" => "a text, the separator in quotes, and the part's number from 1 on",
                 "starts_with" | "ends_with" | "contains" => "two texts",
-                "trim" | "ltrim" | "rtrim" => "a text, and the characters to remove in quotes",
                 _ => "a text",
             };
             return refuse!("{name} takes {takes}");
@@ -540,7 +526,7 @@ fn is_whole(written: &ast::Expr) -> bool {
     };
     let name = function.name.to_string().to_lowercase();
     let has_one = matches!(&function.args, ast::FunctionArguments::List(list) if list.args.len() == 1);
-    has_one && ["round", "floor", "ceil", "ceiling", "trunc"].contains(&&*name)
+    has_one && ["round", "floor", "ceil", "trunc"].contains(&&*name)
 }
 
 /// Converts a value to an integer from `least` to `most`. A value that is no such integer is an error if `strict`, and
@@ -630,10 +616,10 @@ pub enum Aggregate {
     Min,
     /// Largest value. NaN is larger than any number.
     Max,
-    /// Standard deviation, with this number of degrees of freedom subtracted from the count (0 or 1).
-    Deviation(u8),
-    /// Variance, with this number of degrees of freedom subtracted from the count (0 or 1).
-    Variance(u8),
+    /// Standard deviation of a sample: one degree of freedom is subtracted from the count.
+    Deviation,
+    /// Variance of a sample: one degree of freedom is subtracted from the count.
+    Variance,
     /// Quantile at this probability, with linear interpolation.
     Quantile(f64),
     /// Whether all values are true.
@@ -664,13 +650,11 @@ impl Aggregate {
         let aggregate = match (name, share) {
             ("count", _) => Self::Count,
             ("sum" | "count_if", _) => Self::Sum,
-            ("avg" | "mean", _) => Self::Mean,
+            ("avg", _) => Self::Mean,
             ("min", _) => Self::Min,
             ("max", _) => Self::Max,
-            ("stddev" | "stddev_samp", _) => Self::Deviation(1),
-            ("stddev_pop", _) => Self::Deviation(0),
-            ("variance" | "var_samp", _) => Self::Variance(1),
-            ("var_pop", _) => Self::Variance(0),
+            ("stddev", _) => Self::Deviation,
+            ("variance", _) => Self::Variance,
             ("median", _) => Self::Quantile(0.5),
             ("quantile_cont", Some(AnyValue::Float64(share))) if (0.0..=1.0).contains(&share) => {
                 Self::Quantile(share)
@@ -699,10 +683,10 @@ impl Aggregate {
     pub fn of_values(self, values: Vec<f64>) -> Option<f64> {
         let count = values.len() as f64;
         let mean = || values.iter().sum::<f64>() / count;
-        let variance = |less: u8| {
+        let variance = || {
             let mean = mean();
             let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-            (count > f64::from(less)).then(|| squares / (count - f64::from(less)))
+            (count > 1.0).then(|| squares / (count - 1.0))
         };
         match self {
             // Rows that do not count are 0, and others 1.
@@ -710,8 +694,8 @@ impl Aggregate {
             _ if values.is_empty() => None,
             Self::Sum => Some(values.iter().sum()),
             Self::Mean => Some(mean()),
-            Self::Deviation(less) => variance(less).map(f64::sqrt),
-            Self::Variance(less) => variance(less),
+            Self::Deviation => variance().map(f64::sqrt),
+            Self::Variance => variance(),
             Self::Min => values.iter().copied().min_by(order),
             Self::Max => values.iter().copied().max_by(order),
             Self::Quantile(share) => {
@@ -756,8 +740,8 @@ impl Aggregate {
                 (when(is_nan).then(lit(f64::NAN)).otherwise(values.max()), kind)
             }
             Self::Max => (values.max(), kind),
-            Self::Deviation(less) => (values.cast(DataType::Float64).std(less), Type::Real),
-            Self::Variance(less) => (values.cast(DataType::Float64).var(less), Type::Real),
+            Self::Deviation => (values.cast(DataType::Float64).std(1), Type::Real),
+            Self::Variance => (values.cast(DataType::Float64).var(1), Type::Real),
             Self::Quantile(share) => {
                 let values = values.cast(DataType::Float64);
                 (values.quantile(lit(share), QuantileMethod::Linear), Type::Real)
