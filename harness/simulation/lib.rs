@@ -36,7 +36,6 @@ pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
 pub use plan::EpisodePlan;
 pub use scene::Scene;
-pub use sensors::link_forces;
 
 pub use harness_spec::{Episode, Pose};
 

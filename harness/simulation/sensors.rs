@@ -6,15 +6,8 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
 
-/// Returns the normal force on each sensed link, N: the sum over the link's contacts. There is one value for each of
-/// the scene's forces.
-pub fn link_forces(scene: &Scene, data: &MjData<impl ModelType>) -> Vec<f64> {
-    let mut forces = vec![0.0; scene.forces];
-    sum_forces(scene, data, &mut forces);
-    forces
-}
-
-/// Like [`link_forces`], but writes to `forces`. A contact between two links counts for both.
+/// Writes the normal force on each sensed link, N: the sum over the link's contacts. There is one value for each of the
+/// scene's forces. A contact between two links counts for both.
 pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &mut [f64]) {
     forces.fill(0.0);
     if forces.is_empty() {
