@@ -8,13 +8,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Files that may import each other, by their crate and modules, and why.
-const ALLOWED: [(&str, &[&str], &str); 1] = [(
-    "harness/sql/lib.rs",
-    &["expression", "functions", "join", "plan", "window"],
-    "the grammar of SQL is recursive: an expression contains subqueries, and a query contains expressions",
-)];
-
 /// The names from the root of a crate to a module or an item.
 type Names = Vec<String>;
 
@@ -164,10 +157,7 @@ fn cycles(modules: &BTreeMap<Names, String>) -> BTreeSet<BTreeSet<String>> {
 fn files_do_not_import_each_other() {
     for root in roots() {
         let name = root.strip_prefix(env!("CARGO_MANIFEST_DIR")).unwrap().display().to_string();
-        let allowed = ALLOWED.iter().filter(|(root, ..)| *root == name);
-        let allowed: BTreeSet<BTreeSet<String>> =
-            allowed.map(|(_, files, _)| files.iter().map(|file| (*file).to_owned()).collect()).collect();
-        assert_eq!(cycles(&modules(&root)), allowed, "{name}: left the cycles found, right those allowed");
+        assert_eq!(cycles(&modules(&root)), BTreeSet::new(), "{name}");
     }
 }
 

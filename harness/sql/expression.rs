@@ -1,81 +1,13 @@
 //! Translates expressions from the parser's tree to Polars expressions with the meaning that standard SQL gives them.
 
 use super::functions::{self, Aggregate};
-use super::plan::{Ctes, Planner};
-use super::scope::{Column, Type, Unresolved, resolve, same};
-use super::window::Window;
+use super::scope::{Column, Ctes, Type, Unresolved, resolve, same};
+use super::value::{Value, common};
 use super::{Answer, SqlError, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, BinaryOperator, UnaryOperator, Visit, Visitor};
 use std::cell::RefCell;
 use std::ops::ControlFlow;
-
-/// A Polars expression and the type of its values.
-#[derive(Clone)]
-pub struct Value {
-    /// The expression.
-    pub expr: Expr,
-    /// The type of its values.
-    pub kind: Type,
-}
-
-impl Value {
-    /// The values of `expr`, which must be of type `kind`.
-    pub fn new(expr: Expr, kind: Type) -> Self {
-        Self { expr, kind }
-    }
-
-    /// A constant of type `kind`.
-    pub fn literal(value: AnyValue, kind: Type) -> Self {
-        Self::new(lit(Scalar::new(kind.data_type(), value.into_static())), kind)
-    }
-
-    /// A null of type `kind`.
-    pub fn null(kind: Type) -> Self {
-        Self::literal(AnyValue::Null, kind)
-    }
-
-    /// The values of the frame's column `id`.
-    pub fn column(id: &str, kind: Type) -> Self {
-        Self::new(col(id), kind)
-    }
-
-    /// The value of a constant; `None` if the expression is not a constant.
-    pub fn constant(&self) -> Option<AnyValue<'static>> {
-        match &self.expr {
-            Expr::Literal(LiteralValue::Scalar(scalar)) => Some(scalar.value().clone()),
-            _ => None,
-        }
-    }
-
-    /// The expression, converted to a type that [`Type::common`] returned for its own.
-    pub fn to(self, kind: Type) -> Expr {
-        if self.kind == kind { self.expr } else { self.expr.cast(kind.data_type()) }
-    }
-
-    /// The value to compute with: real numbers of 32 bits are converted to 64 bits.
-    pub fn for_computing(self) -> Self {
-        match self.kind {
-            Type::Single => Self::new(self.to(Type::Real), Type::Real),
-            _ => self,
-        }
-    }
-
-    /// Evaluates an expression without columns to a constant. Polars would treat it as a column of one row.
-    pub fn folded(self) -> Answer<Self> {
-        let has_columns = || (&self.expr).into_iter().any(|part| matches!(part, Expr::Column(_)));
-        if matches!(self.expr, Expr::Literal(_)) || has_columns() {
-            return Ok(self);
-        }
-        let one = one_row().select([self.expr.alias("value")]).collect()?;
-        Ok(Self::literal(one.column("value")?.get(0)?, self.kind))
-    }
-}
-
-/// A frame of one row, for queries without FROM.
-pub fn one_row() -> LazyFrame {
-    df!("" => [true]).expect("a frame with one column is valid").lazy()
-}
 
 /// The keys and aggregates of a grouped SELECT. Aggregates are added while expressions are bound.
 pub struct Groups {
@@ -111,11 +43,50 @@ pub enum Needed<'a> {
     Lenient,
 }
 
+/// A function call with OVER.
+pub struct Call<'a> {
+    /// The function's name, in lower case.
+    pub name: &'a str,
+    /// The arguments, without `*`.
+    pub arguments: &'a [&'a ast::Expr],
+    /// Whether the call has DISTINCT.
+    pub distinct: bool,
+    /// The condition of FILTER.
+    pub filter: Option<&'a ast::Expr>,
+}
+
+/// What expressions need of the planner of their query: new ids, and the values of subqueries.
+pub trait Planning {
+    /// A new unique id for a column.
+    fn fresh(&self) -> String;
+
+    /// Counts the parts of a condition of CASE that is to be copied. Returns whether there are not too many.
+    fn can_copy(&self, condition: &Expr) -> bool;
+
+    /// Whether `path` names a column of a query that contains the current subquery.
+    fn around(&self, path: &[ast::Ident]) -> bool;
+
+    /// Computes a subquery of one value. The value is null if the subquery has no rows.
+    fn scalar(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Value>;
+
+    /// Computes the distinct values of a subquery with one column.
+    fn list(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Vec<Value>>;
+
+    /// Computes whether a subquery has rows.
+    fn exists(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<bool>;
+}
+
+/// The window functions of a clause.
+pub trait Windows {
+    /// Binds a call with OVER, and keeps the columns that compute it.
+    fn add(&self, binder: &Binder, call: &Call, over: &ast::WindowType) -> Answer<Value>;
+}
+
 /// Binds the expressions of one clause: resolves names, checks types, and returns Polars expressions.
 #[derive(Clone, Copy)]
 pub struct Binder<'a> {
     /// The planner of the query, for subqueries and new ids.
-    pub planner: &'a Planner<'a>,
+    pub planner: &'a dyn Planning,
     /// The queries of WITH that subqueries may name.
     pub ctes: &'a Ctes,
     /// The columns that the clause may name.
@@ -125,7 +96,7 @@ pub struct Binder<'a> {
     /// The groups, if the clause is evaluated for groups instead of rows.
     pub groups: Option<&'a RefCell<Groups>>,
     /// The window functions found so far; `None` if the clause can't contain any.
-    pub windows: Option<&'a RefCell<Vec<Window>>>,
+    pub windows: Option<&'a dyn Windows>,
     /// The windows of the clause WINDOW.
     pub named_windows: &'a [ast::NamedWindowDefinition],
     /// The aliases of SELECT that the clause may name.
@@ -558,13 +529,15 @@ impl<'a> Binder<'a> {
         let arguments: Vec<&ast::Expr> =
             arguments.collect::<Answer<Vec<_>>>()?.into_iter().flatten().collect();
         if let Some(over) = over {
-            let call = super::window::Call {
-                name: &name,
-                arguments: &arguments,
-                distinct,
-                filter: filter.as_deref(),
+            let call = Call { name: &name, arguments: &arguments, distinct, filter: filter.as_deref() };
+            return match self.windows {
+                Some(windows) => windows.add(self, &call, over),
+                None => refuse!(
+                    "'{}' can't be in {}; compute it in a query of its own, with WITH",
+                    shown(function),
+                    self.clause
+                ),
             };
-            return super::window::bind(self, &call, over, function);
         }
         if Aggregate::is_name(&name) {
             return self.aggregate(&name, &arguments, distinct, filter.as_deref(), function);
@@ -572,10 +545,10 @@ impl<'a> Binder<'a> {
         if distinct || filter.is_some() {
             return refuse!("DISTINCT and FILTER are only for aggregates, and {name} is not one");
         }
-        if super::window::is_name(&name) {
+        if functions::OVER_ORDER.contains(&&*name) {
             return refuse!("{name} needs OVER (ORDER BY …)");
         }
-        if matches!(&*name, "coalesce" | "ifnull") {
+        if name == "coalesce" {
             return functions::call(&name, self.alternatives(&arguments)?, true);
         }
         let mut arguments = arguments.into_iter().map(|expr| self.bind(expr)).collect::<Answer<Vec<_>>>()?;
@@ -658,12 +631,6 @@ impl<'a> Binder<'a> {
             }
         }
     }
-}
-
-/// The common type of all values, or two types that have none.
-pub fn common<'a>(values: impl IntoIterator<Item = &'a Value>) -> Result<Type, [Type; 2]> {
-    let mut values = values.into_iter();
-    values.try_fold(Type::Null, |kind, value| kind.common(value.kind).ok_or([kind, value.kind]))
 }
 
 /// The common type of `values`. `whole` is the expression that a message names if there is none.
@@ -844,4 +811,17 @@ pub fn has_aggregate(expr: &ast::Expr) -> bool {
         }
     }
     expr.visit(&mut Found::default()).is_break()
+}
+
+/// Splits a condition at its ANDs, and appends the parts to `conditions`.
+pub fn split_and<'s>(condition: Option<&'s ast::Expr>, conditions: &mut Vec<&'s ast::Expr>) {
+    match condition {
+        None => {}
+        Some(ast::Expr::Nested(condition)) => split_and(Some(condition), conditions),
+        Some(ast::Expr::BinaryOp { left, op: ast::BinaryOperator::And, right }) => {
+            split_and(Some(left), conditions);
+            split_and(Some(right), conditions);
+        }
+        Some(condition) => conditions.push(condition),
+    }
 }

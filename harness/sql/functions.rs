@@ -1,7 +1,7 @@
 //! The supported functions and aggregates, with the types of their arguments and results.
 
-use super::expression::{Value, common};
 use super::scope::Type;
+use super::value::{Value, common};
 use super::{Answer, shown};
 use harness_shared::nearest;
 use polars::prelude::*;
@@ -32,6 +32,10 @@ const OTHER: &str = "abs round power pow mod atan2 isnan isinf isfinite greatest
 /// The names of the aggregates.
 const AGGREGATES: &str =
     "count count_if sum avg min max stddev variance median quantile_cont bool_and bool_or";
+
+/// The functions that need OVER. Aggregates can be called with or without it.
+pub const OVER_ORDER: [&str; 7] =
+    ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
 
 /// Functions of other databases, and what to write instead.
 const ELSEWHERE: [(&str, &str); 12] = [
@@ -152,11 +156,8 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
                 return refuse!("there is no function '{name}'; write {instead}");
             }
             let real = REAL.iter().map(|(name, _)| *name);
-            let names: Vec<&str> = real
-                .chain(OTHER.split(' '))
-                .chain(AGGREGATES.split(' '))
-                .chain(super::window::NAMES)
-                .collect();
+            let names: Vec<&str> =
+                real.chain(OTHER.split(' ')).chain(AGGREGATES.split(' ')).chain(OVER_ORDER).collect();
             match nearest(name, &names) {
                 Some(known) => refuse!("there is no function '{name}'; did you mean '{known}'?"),
                 None => refuse!("there is no function '{name}'; there are {}", names.join(", ")),

@@ -1,15 +1,15 @@
 //! Plans FROM: tables, subqueries and joins.
 
-use super::expression::{Value, is_plain, one_row};
-use super::plan::{Ctes, Planner, none_of};
-use super::scope::{Column, Relation, Type, choice, resolve, same};
+use super::expression::{Planning, is_plain, split_and};
+use super::plan::Planner;
+use super::scope::{
+    Column, Ctes, MAX_JOIN_ROWS, Relation, Type, choice, none_of, resolve, same, within_rows,
+};
+use super::value::{Value, one_row};
 use super::{Answer, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, JoinConstraint, JoinOperator, TableFactor};
 use std::collections::BTreeSet;
-
-/// The maximum number of rows of a join. A join may have more if it has no more rows than the larger of its tables.
-const MAX_JOIN_ROWS: u64 = 1_000_000;
 
 /// The kind of a join: the side whose rows it keeps when they have no partner.
 #[derive(Clone, Copy, PartialEq)]
@@ -493,28 +493,4 @@ fn joined_rows(left: &LazyFrame, right: &LazyFrame, left_ids: &[Expr], right_ids
     };
     within_rows(rows, larger)?;
     Ok(rows.saturating_add(larger))
-}
-
-/// Refuses a join of too many rows. `larger` is the number of rows of the larger table.
-pub fn within_rows(rows: u64, larger: u64) -> Answer<()> {
-    if rows <= MAX_JOIN_ROWS.max(larger) {
-        return Ok(());
-    }
-    refuse!(
-        "a join in it has {rows} rows, but at most {MAX_JOIN_ROWS} are allowed; join by more columns with \
-         ON a.column = b.column, or select from each table first"
-    )
-}
-
-/// Splits a condition at its ANDs, and appends the parts to `conditions`.
-pub fn split_and<'s>(condition: Option<&'s ast::Expr>, conditions: &mut Vec<&'s ast::Expr>) {
-    match condition {
-        None => {}
-        Some(ast::Expr::Nested(condition)) => split_and(Some(condition), conditions),
-        Some(ast::Expr::BinaryOp { left, op: ast::BinaryOperator::And, right }) => {
-            split_and(Some(left), conditions);
-            split_and(Some(right), conditions);
-        }
-        Some(condition) => conditions.push(condition),
-    }
 }

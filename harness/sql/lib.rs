@@ -16,16 +16,18 @@ mod condition;
 mod expression;
 mod functions;
 mod join;
+mod order;
 mod parse;
 mod plan;
 mod scope;
+mod value;
 mod window;
 
 pub use condition::{Condition, Terms, implies};
 
-use plan::{Ctes, Planner};
+use plan::Planner;
 use polars::prelude::*;
-use scope::{Type, choice, same};
+use scope::{Ctes, Type, choice, same};
 use sqlparser::ast::{self, ObjectName, Statement};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,8 +1,9 @@
 //! Translates queries from the parser's tree to Polars plans. In a plan, every column has a unique id.
 
-use super::expression::{Binder, Groups, Key, Needed, Value, can_fail, has_aggregate};
-use super::join::{split_and, within_rows};
-use super::scope::{Column, Relation, Type, resolve, same};
+use super::expression::{Binder, Groups, Key, Needed, Planning, can_fail, has_aggregate, split_and};
+use super::order::{Sorting, direction, options_of};
+use super::scope::{Column, Ctes, Relation, Type, none_of, resolve, same, within_rows};
+use super::value::Value;
 use super::window::Window;
 use super::{Answer, Query, Tables, shown};
 use polars::prelude::*;
@@ -16,9 +17,6 @@ const MAX_READS: usize = 200;
 /// The maximum number of parts of all copies of the conditions of CASE. Beyond it, an operation that fails in a row
 /// that CASE excludes is an error: Polars takes seconds for more.
 const MAX_CONDITION_PARTS: usize = 100_000;
-
-/// The queries of WITH (common table expressions), by name in lower case.
-pub type Ctes = BTreeMap<String, Relation>;
 
 /// Plans one statement.
 pub struct Planner<'a> {
@@ -53,24 +51,6 @@ impl<'a> Planner<'a> {
             condition_parts: Cell::new(0),
             around: RefCell::default(),
         }
-    }
-
-    /// A new unique id for a column.
-    pub fn fresh(&self) -> String {
-        self.names.set(self.names.get() + 1);
-        format!("#{}", self.names.get())
-    }
-
-    /// Counts the parts of a condition of CASE that is to be copied. Returns whether there are not too many.
-    pub fn can_copy(&self, condition: &Expr) -> bool {
-        let parts = self.condition_parts.get() + condition.into_iter().count();
-        self.condition_parts.set(parts);
-        parts <= MAX_CONDITION_PARTS
-    }
-
-    /// Whether `path` names a column of a query that contains the current subquery.
-    pub fn around(&self, path: &[ast::Ident]) -> bool {
-        self.around.borrow().iter().any(|columns| resolve(columns, path).is_ok())
     }
 
     /// Plans a query with WITH, ORDER BY and LIMIT. `ctes` are the queries of the outer WITH.
@@ -265,7 +245,7 @@ impl<'a> Planner<'a> {
         let is_grouped =
             !keys.is_empty() || select.having.is_some() || written.chain(after).any(has_aggregate);
         let groups = RefCell::new(Groups { keys, arguments: Vec::new(), aggregates: Vec::new() });
-        let windows = RefCell::new(Vec::new());
+        let windows = RefCell::new(Vec::<Window>::new());
         let grouped = |clause| Binder { groups: is_grouped.then_some(&groups), ..at(clause) };
         let windowed = |clause| Binder { windows: Some(&windows), ..grouped(clause) };
 
@@ -469,9 +449,25 @@ impl<'a> Planner<'a> {
             }
         }
     }
+}
 
-    /// Computes a subquery of one value. The value is null if the subquery has no rows.
-    pub fn scalar(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Value> {
+impl Planning for Planner<'_> {
+    fn fresh(&self) -> String {
+        self.names.set(self.names.get() + 1);
+        format!("#{}", self.names.get())
+    }
+
+    fn can_copy(&self, condition: &Expr) -> bool {
+        let parts = self.condition_parts.get() + condition.into_iter().count();
+        self.condition_parts.set(parts);
+        parts <= MAX_CONDITION_PARTS
+    }
+
+    fn around(&self, path: &[ast::Ident]) -> bool {
+        self.around.borrow().iter().any(|columns| resolve(columns, path).is_ok())
+    }
+
+    fn scalar(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Value> {
         let (frame, kind) = self.column(query, ctes, around)?;
         let rows = frame.limit(2).collect()?;
         let values = rows.column("value")?;
@@ -485,16 +481,14 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Computes the distinct values of a subquery with one column.
-    pub fn list(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Vec<Value>> {
+    fn list(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<Vec<Value>> {
         let (frame, kind) = self.column(query, ctes, around)?;
         let rows = frame.unique_stable(None, UniqueKeepStrategy::First).collect()?;
         let values = rows.column("value")?;
         (0..values.len()).map(|row| Ok(Value::literal(values.get(row)?, kind))).collect()
     }
 
-    /// Computes whether a subquery has rows.
-    pub fn exists(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<bool> {
+    fn exists(&self, query: &ast::Query, ctes: &Ctes, around: &[Column]) -> Answer<bool> {
         let relation = self.subquery(query, ctes, around)?;
         Ok(relation.frame.limit(1).collect()?.height() > 0)
     }
@@ -544,16 +538,6 @@ fn order_keys(order_by: &ast::OrderBy, outputs: usize) -> Answer<Vec<(OrderKey, 
     }
 }
 
-/// Whether a key of ORDER BY is descending, and whether nulls come last, which is the default.
-pub fn direction(key: &ast::OrderByExpr) -> Answer<(bool, bool)> {
-    none_of(&[(key.with_fill.is_some(), "WITH FILL", "leave it out")])?;
-    Ok(options_of(&key.options))
-}
-
-fn options_of(options: &ast::OrderByOptions) -> (bool, bool) {
-    (options.asc == Some(false), options.nulls_first != Some(true))
-}
-
 /// Resolves a key that is the number of an item or one of `names` to the item's position. Other keys are returned
 /// unchanged.
 fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
@@ -581,35 +565,6 @@ fn placed(key: OrderKey, items: &[Item], names: &[String]) -> Answer<OrderKey> {
             }
         }
         _ => Ok(OrderKey::Written(written)),
-    }
-}
-
-/// The keys that rows are sorted by, and their options.
-#[derive(Default)]
-pub struct Sorting {
-    by: Vec<Expr>,
-    descending: Vec<bool>,
-    nulls_last: Vec<bool>,
-}
-
-impl Sorting {
-    /// Adds a key, and whether it is descending, and whether nulls come last.
-    pub fn add(&mut self, by: Expr, (descending, nulls_last): (bool, bool)) {
-        self.by.push(by);
-        self.descending.push(descending);
-        self.nulls_last.push(nulls_last);
-    }
-
-    /// The sorted rows. Rows with equal keys keep their order.
-    pub fn of(self, frame: LazyFrame) -> LazyFrame {
-        if self.by.is_empty() {
-            return frame;
-        }
-        let options = SortMultipleOptions::default()
-            .with_order_descending_multi(self.descending)
-            .with_nulls_last_multi(self.nulls_last)
-            .with_maintain_order(true);
-        frame.sort_by_exprs(self.by, options)
     }
 }
 
@@ -643,15 +598,6 @@ fn limited(relation: Relation, limit: Option<&ast::LimitClause>) -> Answer<Relat
     let offset = offset.map_or(Ok(0), count)?;
     let limit = limit.map_or(Ok(IdxSize::MAX), count)?;
     Ok(Relation { frame: relation.frame.slice(offset.into(), limit), ..relation })
-}
-
-/// Refuses the first of `parts` that is present. Each part has three fields: whether it is present, its name, and what
-/// to do instead.
-pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
-    match parts.iter().find(|(is_there, _, _)| *is_there) {
-        None => Ok(()),
-        Some((_, name, instead)) => refuse!("{name} is not supported; {instead}"),
-    }
 }
 
 /// Refuses the parts of SELECT that are not supported.

@@ -1,8 +1,10 @@
 //! Types, columns and relations of a query, and how names are resolved to columns.
 
+use super::Answer;
 use harness_shared::nearest;
 use polars::prelude::*;
 use sqlparser::ast::Ident;
+use std::collections::BTreeMap;
 
 /// The type of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -187,5 +189,31 @@ pub fn choice(wanted: &str, names: &[&str]) -> String {
         (names, None) if names.len() > 40 => "; DESCRIBE lists a table's columns".to_owned(),
         (names, Some(meant)) => format!("{meant} There are {}", names.join(", ")),
         (names, None) => format!("; there are {}", names.join(", ")),
+    }
+}
+
+/// The queries of WITH (common table expressions), by name in lower case.
+pub type Ctes = BTreeMap<String, Relation>;
+
+/// The maximum number of rows of a join. A join may have more if it has no more rows than the larger of its tables.
+pub const MAX_JOIN_ROWS: u64 = 1_000_000;
+
+/// Refuses a join of too many rows. `larger` is the number of rows of the larger table.
+pub fn within_rows(rows: u64, larger: u64) -> Answer<()> {
+    if rows <= MAX_JOIN_ROWS.max(larger) {
+        return Ok(());
+    }
+    refuse!(
+        "a join in it has {rows} rows, but at most {MAX_JOIN_ROWS} are allowed; join by more columns with \
+         ON a.column = b.column, or select from each table first"
+    )
+}
+
+/// Refuses the first of `parts` that is present. Each part has three fields: whether it is present, its name, and what
+/// to do instead.
+pub fn none_of(parts: &[(bool, &str, &str)]) -> Answer<()> {
+    match parts.iter().find(|(is_there, _, _)| *is_there) {
+        None => Ok(()),
+        Some((_, name, instead)) => refuse!("{name} is not supported; {instead}"),
     }
 }

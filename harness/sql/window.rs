@@ -1,37 +1,19 @@
 //! Window functions: `f(…) over (partition by … order by …)`.
 
-use super::expression::{Binder, Needed, Value};
-use super::functions::{Aggregate, field, sum_within_integers};
-use super::plan::{Sorting, direction};
+use super::expression::{Binder, Call, Needed, Windows};
+use super::functions::{Aggregate, OVER_ORDER, field, sum_within_integers};
+use super::order::{Sorting, direction};
 use super::scope::{Type, same};
+use super::value::Value;
 use super::{Answer, shown};
 use polars::prelude::*;
 use sqlparser::ast::{self, WindowFrameBound, WindowFrameUnits};
-
-/// The functions that need OVER. Aggregates can be called with or without it.
-pub const NAMES: [&str; 7] = ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
+use std::cell::RefCell;
 
 /// The maximum number of values that all frames of a partition have together.
 const MOST_WORK: usize = 200_000_000;
 const NO_VALUE_OF_ROWS: &str =
     "the first or last value of a frame with a number of rows is not supported; use lag or lead";
-
-/// Whether a function that needs OVER has this name, in lower case.
-pub fn is_name(name: &str) -> bool {
-    NAMES.contains(&name)
-}
-
-/// A function call with OVER.
-pub struct Call<'a> {
-    /// The function's name, in lower case.
-    pub name: &'a str,
-    /// The arguments, without `*`.
-    pub arguments: &'a [&'a ast::Expr],
-    /// Whether the call has DISTINCT.
-    pub distinct: bool,
-    /// The condition of FILTER.
-    pub filter: Option<&'a ast::Expr>,
-}
 
 /// The columns that compute a window function. They are added to a frame in this order: inputs, place, steps.
 pub struct Window {
@@ -202,15 +184,16 @@ fn named<'a>(binder: &Binder<'a>, name: &ast::Ident) -> Answer<&'a ast::WindowSp
     }
 }
 
-/// Binds a call with OVER, and adds its columns to the binder's windows.
-pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast::Function) -> Answer<Value> {
-    let Some(windows) = binder.windows else {
-        return refuse!(
-            "'{}' can't be in {}; compute it in a query of its own, with WITH",
-            shown(written),
-            binder.clause
-        );
-    };
+impl Windows for RefCell<Vec<Window>> {
+    fn add(&self, binder: &Binder, call: &Call, over: &ast::WindowType) -> Answer<Value> {
+        let (window, value) = bound(binder, call, over)?;
+        self.borrow_mut().push(window);
+        Ok(value)
+    }
+}
+
+/// Binds a call with OVER: the columns that compute it, and its value.
+fn bound(binder: &Binder, call: &Call, over: &ast::WindowType) -> Answer<(Window, Value)> {
     let spec = match over {
         ast::WindowType::WindowSpec(spec) => spec,
         ast::WindowType::NamedWindow(name) => named(binder, name)?,
@@ -232,7 +215,7 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
     let frame = Frame::of(spec)?;
     let value = if Aggregate::is_name(call.name) {
         aggregate(&binder, &mut window, call, frame)?
-    } else if is_name(call.name) {
+    } else if OVER_ORDER.contains(&call.name) {
         if window.order.is_empty() {
             return refuse!("{} needs an order: OVER (ORDER BY …)", call.name);
         }
@@ -245,11 +228,10 @@ pub fn bind(binder: &Binder, call: &Call, over: &ast::WindowType, written: &ast:
         let values = call.arguments.iter().map(|expr| Ok(binder.bind(expr)?.for_computing()));
         of_rows(&binder, &mut window, call.name, values.collect::<Answer<_>>()?, frame)?
     } else {
-        return refuse!("{} can't have OVER; only aggregates and {} can", call.name, NAMES.join(", "));
+        return refuse!("{} can't have OVER; only aggregates and {} can", call.name, OVER_ORDER.join(", "));
     };
     let expr = window.step(&binder, value.expr);
-    windows.borrow_mut().push(window);
-    Ok(Value::new(expr, value.kind))
+    Ok((window, Value::new(expr, value.kind)))
 }
 
 /// Binds an aggregate over each row's frame.
