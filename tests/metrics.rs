@@ -3,7 +3,7 @@
 use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness_metrics::baselines::{GRAY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness_metrics::contact::{Contact, by_link};
-use harness_metrics::parts::{in_either, region_of};
+use harness_metrics::parts::{class_of, in_either, region_of};
 use harness_metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
 use harness_metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
 use harness_spec::{Definition, Layout, Modality};
@@ -45,6 +45,11 @@ fn random_pairs(seed: u64, samples: usize, offset: f32) -> (Vec<f32>, Vec<f32>) 
     let reference: Vec<f32> = (0..samples).map(|_| offset + rng.random_range(-1.0..1.0)).collect();
     let predicted = reference.iter().map(|r| r + rng.random_range(-0.2..0.2)).collect();
     (reference, predicted)
+}
+
+/// The names of the regions of the finger's images.
+fn of_images() -> Vec<String> {
+    Layout::finger().regions_of(Modality::FRAME_DIFFERENCE)
 }
 
 fn find(rows: &[Row], metric: Metric, direction: Option<Direction>, index: Option<u32>) -> &Row {
@@ -286,7 +291,7 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
             predicted[channel * PLANE + pixel] = value;
         }
     }
-    let mut evaluation = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
+    let mut evaluation = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &of_images());
     evaluation.add_with_regions(&reference, &predicted, &parts).unwrap();
     let value = |metric| find(&evaluation.rows(), metric, None, None).value;
     assert_close(value(Metric::RelativeError.in_region("arm")), 0.25);
@@ -296,7 +301,7 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
     );
     assert!(value(Metric::RelativeError).unwrap() > 90.0, "all pixels count there");
 
-    let mut unseen = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &Layout::finger().regions);
+    let mut unseen = Evaluation::new(&of_finger(Modality::FRAME_DIFFERENCE), &of_images());
     unseen.add_with_regions(&reference, &predicted, &[None; PLANE]).unwrap();
     assert_eq!(find(&unseen.rows(), Metric::RelativeError.in_region("finger"), None, None).value, None);
     assert!(unseen.add_with_regions(&reference, &predicted, &parts[1..]).is_err());
@@ -361,8 +366,12 @@ fn a_pixel_counts_for_what_it_shows_before_or_after_the_change() {
     let regions = &Layout::finger().regions;
     let (arm, finger) = (region_of(regions, arm), region_of(regions, finger));
     assert_eq!((arm, finger), (Some(0), Some(1)));
-    assert_eq!(in_either(regions, &before, &after)[..5], [None, arm, finger, finger, None]);
-    assert_eq!(in_either(regions, &after, &before)[..5], [None, arm, finger, finger, None]);
+    let either = |before: &[u8], after: &[u8]| in_either(before, after, |pixel| region_of(regions, pixel));
+    assert_eq!(either(&before, &after)[..5], [None, arm, finger, finger, None]);
+    assert_eq!(either(&after, &before)[..5], [None, arm, finger, finger, None]);
+    // Pixels of a segmentation have one of its colors, or show no class.
+    let colors = [[0, 0, 0], [0, 255, 0], [255, 255, 255], [254, 0, 0]];
+    assert_eq!(colors.map(class_of), [None, Some(1), Some(6), None]);
 }
 
 #[test]

@@ -26,6 +26,8 @@ mod integrators;
 mod parts;
 #[path = "simulation/placement.rs"]
 mod placement;
+#[path = "simulation/sight.rs"]
+mod sight;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -609,18 +611,36 @@ fn images_show_all_sites_of_a_model_with_many() {
     assert!(middle[0] > 2 * middle[1].max(middle[2]), "{middle:?} is not red");
 }
 
+/// The geom that each pixel of the camera `external` shows in these states, or -1, and the distance from the camera's
+/// plane, m, by Python's renderer.
+fn seen_by_python(scene: &Scene, states: &[Vec<f64>]) -> (Vec<i32>, Vec<f32>) {
+    let folder = tempfile::tempdir().unwrap();
+    let paths = ["model.xml", "positions", "geoms", "depths"].map(|name| folder.path().join(name));
+    std::fs::write(&paths[0], scene.xml()).unwrap();
+    write_floats(&paths[1], states.iter().flatten());
+    let side = FRAME_SIDE.to_string();
+    python("segment_frames.py", &[&paths[0], &paths[1], &side, &paths[2], &paths[3]]);
+    let values = |path: &PathBuf| -> Vec<[u8; 4]> {
+        let bytes = std::fs::read(path).unwrap();
+        bytes.chunks_exact(4).map(|value| value.try_into().unwrap()).collect()
+    };
+    let geoms = values(&paths[2]).into_iter().map(i32::from_le_bytes).collect();
+    (geoms, values(&paths[3]).into_iter().map(f32::from_le_bytes).collect())
+}
+
 #[test]
 fn colors_tell_the_robots_parts_as_mujocos_segmentation_does() {
     for scenario in Scenario::PAPER.into_iter().chain([crowded()]) {
         let (scene, spec) = (scene(scenario), short());
         let episode = simulate(&scene, &spec, 0);
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name: &str| folder.path().join(name);
-        std::fs::write(file("model.xml"), scene.xml()).unwrap();
-        write_floats(&file("positions"), replay(&scene, &spec, 0).unwrap().iter().flatten());
-        let paths = ["model.xml", "positions", "parts"].map(file);
-        python("segment_frames.py", &[&paths[0], &paths[1], &FRAME_SIDE.to_string(), &paths[2]]);
-        let theirs = std::fs::read(&paths[2]).unwrap();
+        // 1 for the arm, 2 for the finger, 0 for anything else.
+        let part = |geom: i32| {
+            let name = |geom| scene.model().id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or_default();
+            let name = usize::try_from(geom).map_or("ground", name);
+            if name.starts_with("finger_link_") { 2 } else { u8::from(name.starts_with("arm_")) }
+        };
+        let (geoms, _) = seen_by_python(&scene, &replay(&scene, &spec, 0).unwrap());
+        let theirs: Vec<u8> = geoms.into_iter().map(part).collect();
         let ours: Vec<u8> = episode
             .image(Modality::VISION)
             .chunks_exact(IMAGE_CHANNELS)

@@ -72,7 +72,8 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "",
             place("size: [64, 64]"),
             "exactly one of joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
-             site_orientations, normal_force, sensor, camera, optical_flow, difference_of; found none",
+             site_orientations, normal_force, sensor, camera, optical_flow, depth, segmentation, difference_of; \
+             found none",
         ),
         (
             "unit: m, range: [-1, 0]",
@@ -258,6 +259,49 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "limit_pixels: 8\n    camera: external",
             place("camera: external"),
             "only an optical_flow has 'limit_pixels'",
+        ),
+        (
+            "camera: external",
+            "depth: external",
+            place("camera: external"),
+            "a depth needs the range_m that it encodes, as [0.1, 2]",
+        ),
+        (
+            "camera: external",
+            "{depth: external, size: [64, 64], range_m: [2, 2]}\n  other:\n    camera: external",
+            place("camera: external"),
+            "the lower end must be below the upper end; found 2 and 2",
+        ),
+        (
+            "camera: external",
+            "{depth: external, size: [64, 64], range_m: [0, 2]}\n  other:\n    camera: external",
+            place("camera: external"),
+            "'modalities.vision.range_m': expected a finite number above 0, found 0",
+        ),
+        (
+            "camera: external",
+            "range_m: [1, 2]\n    camera: external",
+            place("camera: external"),
+            "only a depth has 'range_m'",
+        ),
+        (
+            "camera: external",
+            "classes: {a: ground}\n    camera: external",
+            place("camera: external"),
+            "only a segmentation has 'classes'",
+        ),
+        (
+            "camera: external",
+            "segmentation: external",
+            place("camera: external"),
+            "a segmentation needs classes, as {hand: hand_*, box: box_*}",
+        ),
+        (
+            "camera: external",
+            "{segmentation: external, size: [64, 64], classes: {a: x, b: x, c: x, d: x, e: x, f: x, g: x, h: x}}\n  \
+             other:\n    camera: external",
+            place("camera: external"),
+            "an image can encode 7 classes; found 8",
         ),
         ("  finger_damping:", "  finger_stiffness:", place("finger_damping:"), "duplicate"),
         (
@@ -454,6 +498,11 @@ fn the_order_of_actuators_and_regions_decides_the_dataset() {
     assert_eq!(name(&EMPTY.replace("The finger, the arm", "The arm, the finger")), own);
     assert_ne!(name(&swapped("lift: {", "extension: {actuator")), own);
     assert_ne!(name(&swapped("arm: {red", "finger: {red")), own);
+    let segmented = |classes: &str| {
+        let parts = format!("  parts: {{segmentation: external, size: [64, 64], classes: {{{classes}}}}}\n");
+        name(&EMPTY.replace("\naction:", &format!("{parts}\naction:")))
+    };
+    assert_ne!(segmented("arm: arm_*, rest: ground"), segmented("rest: ground, arm: arm_*"));
 }
 
 #[test]
@@ -617,6 +666,25 @@ fn a_check_writes_a_picture_of_each_camera() {
     assert!(image::open(path("side.png")).unwrap().into_rgb8() == written[0]);
     succeed(folder.path(), &["render", &path("two.yaml"), "--as-seen", "--output", &path("small.png")]);
     assert!(image::open(path("small.png")).unwrap().into_rgb8() == written[2]);
+
+    // Depths and classes are drawn as they are recorded.
+    let world = fs::read_to_string(path("two.yaml")).unwrap();
+    let more = "  far: {depth: rig/side, size: [24, 32], range_m: [0.5, 4]}\n  \
+                parts: {segmentation: rig/side, size: [24, 32], classes: {rod: rod}}\n";
+    fs::write(path("two.yaml"), world.replacen("\naction:", &format!("{more}\naction:"), 1)).unwrap();
+    let said = succeed(folder.path(), &["world", "check", &path("two.yaml"), "--render", &path("coded")]);
+    for words in ["depth image of 24 x 32 pixels", "segmentation of 24 x 32 pixels"] {
+        assert!(said.contains(words), "{said}");
+    }
+    let parts = image::open(path("coded/as_seen_parts.png")).unwrap().into_rgb8();
+    assert!(parts.pixels().any(|pixel| pixel.0 == [255, 0, 0]) && parts.dimensions() == (32, 24));
+    let arguments = ["render", &path("two.yaml"), "--as-seen", "--camera", "far"];
+    succeed(folder.path(), &[&arguments[..], &["--output", &path("far.png")]].concat());
+    let far = image::open(path("far.png")).unwrap().into_rgb8();
+    assert!(far == image::open(path("coded/as_seen_far.png")).unwrap().into_rgb8());
+    for (part, far) in parts.pixels().zip(far.pixels()) {
+        assert!(part.0 == [0; 3] || far.0[2] == 255, "what belongs to a class is visible");
+    }
 }
 
 #[test]
@@ -1071,7 +1139,8 @@ fn a_network_takes_and_predicts_images_that_are_no_squares() {
     succeed(&results, &["report", "--output", page.to_str().unwrap()]);
 }
 
-/// Regions are found by color, so they are those of the camera, wherever the optical flow stands.
+/// Regions are found by color, so they are those of the camera, wherever the optical flow stands. A segmentation of the
+/// same parts gives the same errors, because the colors of this world's parts tell them as well.
 #[test]
 fn regions_and_motion_are_found_in_the_images_of_cameras() {
     let flow = "  flow:\n    optical_flow: external\n    size: [64, 64]\n";
@@ -1079,7 +1148,12 @@ fn regions_and_motion_are_found_in_the_images_of_cameras() {
     let own = EMPTY.replace("model: empty.xml", "model: own.xml");
     let first = own.replacen("modalities:\n", &format!("modalities:\n{flow}{change}"), 1);
     let last = own.replacen("\naction:", &format!("\n{flow}{change}action:"), 1);
-    let answers = [("flow_first", first), ("flow_last", last)].map(|(name, world)| {
+    let parts = "  parts:\n    segmentation: external\n    size: [64, 64]\n    \
+                 classes: {arm: arm_*, finger: finger_link_*}\n";
+    let (uncolored, _) = first.split_once("\nregions:").unwrap();
+    let segmented = uncolored.replacen("\naction:", &format!("\n{parts}\naction:"), 1) + "\n";
+    let worlds = [("flow_first", first.clone()), ("flow_last", last), ("parts", segmented)];
+    let answers = worlds.map(|(name, world)| {
         let (folder, results) = (tempfile::tempdir().unwrap(), fresh(&format!("worlds_{name}")));
         fs::write(folder.path().join("own.xml"), EMPTY_XML).unwrap();
         fs::write(folder.path().join("own.yaml"), world).unwrap();
@@ -1101,6 +1175,7 @@ fn regions_and_motion_are_found_in_the_images_of_cameras() {
     });
     assert!(answers[0][0].contains("relative_error_finger"), "{}", answers[0][0]);
     assert_eq!(answers[0], answers[1]);
+    assert_eq!(answers[0], answers[2]);
 }
 
 /// The sizes of the finger's modalities are defined by its models alone: 20 joints and links, 3 elements of the action,

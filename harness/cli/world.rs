@@ -145,7 +145,7 @@ fn check(scene: &Scene) -> Result<()> {
 const PICTURE: [u32; 2] = [640, 480];
 
 /// Writes what each camera of the model shows of the scene at rest to `camera_<name>.png`, and what a network gets from
-/// each recorded camera to `as_seen_<modality>.png`.
+/// each recorded image to `as_seen_<modality>.png`.
 fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
     let write = |mut renderer: SceneRenderer, name: String| -> Result<()> {
         let path = folder.join(format!("{name}.png"));
@@ -158,7 +158,7 @@ fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
         // MuJoCo allows any sign in a name, but a file's name must not have a slash.
         write(renderer, format!("camera_{}", camera.replace('/', "_")))?;
     }
-    for modality in scene.recorded_cameras() {
+    for modality in scene.rendered() {
         write(SceneRenderer::as_recorded(scene, Some(modality.name()))?, format!("as_seen_{modality}"))?;
     }
     Ok(())
@@ -167,7 +167,7 @@ fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
 fn describe(definition: &Definition) -> String {
     let of = definition.difference_of.map(|of| format!("change of {of}: ")).unwrap_or_default();
     match definition.size() {
-        Some([rows, columns]) => format!("{of}image of {rows} x {columns} pixels"),
+        Some([rows, columns]) => format!("{of}{} of {rows} x {columns} pixels", definition.shows()),
         None => {
             let elements = definition.elements();
             let element = |element: &harness::spec::Element| match element.unit.as_str() {

@@ -122,7 +122,7 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             let definition = &layout[*modality];
             let ahead = after(at, *horizon);
             let reference = physical(test.samples, *modality, &ahead);
-            let new = || Evaluation::new(definition, &layout.regions);
+            let new = || Evaluation::new(definition, &layout.regions_of(*modality));
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
             add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
             for &since_s in test.since_s {
@@ -194,9 +194,15 @@ fn add(
             at.iter().flat_map(|sample| samples.vector(kinds, *sample).iter().map(region)).collect()
         }
         None => {
+            let segmentation = layout.segmentation_of(modality).map(|(segmentation, _)| segmentation);
             let regions = |sample: &Sample| {
-                let before = samples.previous_frame_bytes(modality, *sample);
-                parts::in_either(&layout.regions, before, samples.frame_bytes(modality, *sample))
+                let shown = segmentation.unwrap_or(modality);
+                let [before, after] =
+                    [samples.previous_frame_bytes(shown, *sample), samples.frame_bytes(shown, *sample)];
+                parts::in_either(before, after, |pixel| match segmentation {
+                    Some(_) => parts::class_of(pixel),
+                    None => parts::region_of(&layout.regions, pixel),
+                })
             };
             at.par_iter().flat_map_iter(regions).collect()
         }

@@ -16,6 +16,17 @@ pub const NO_CONTACT: &str = "none";
 /// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 
+/// The colors of a segmentation's classes, with their names. Pixels of no class are black.
+pub const CLASS_COLORS: [(&str, [u8; IMAGE_CHANNELS]); 7] = [
+    ("red", [255, 0, 0]),
+    ("green", [0, 255, 0]),
+    ("blue", [0, 0, 255]),
+    ("yellow", [255, 255, 0]),
+    ("cyan", [0, 255, 255]),
+    ("magenta", [255, 0, 255]),
+    ("white", [255, 255, 255]),
+];
+
 /// The name of a modality in specs and tables. The dataset's [`Layout`] defines the modality.
 ///
 /// Modalities are ordered by name: those of the built-in worlds come first, in the order of [`Modality::BUILT_IN`], and
@@ -149,6 +160,16 @@ pub enum Percentage {
     Wmape,
 }
 
+/// The classes that a segmentation tells apart.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Segmentation {
+    /// Names of the classes, in the order of [`CLASS_COLORS`].
+    pub classes: Vec<String>,
+    /// The images of the same camera and size. The classes are their regions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub of: Vec<Modality>,
+}
+
 /// The definition of one modality of a dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Definition {
@@ -167,6 +188,12 @@ pub struct Definition {
     /// Whether an image encodes optical flow, or the change of one, instead of colors.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub optical_flow: bool,
+    /// The depths, m, at which the red of an image that encodes depth is 0 and 255.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_range_m: Option<[f64; 2]>,
+    /// If an image encodes classes, or is the change of one that does: the classes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segmentation: Option<Segmentation>,
     /// Groups of elements for which metrics are computed together.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<Group>,
@@ -197,6 +224,8 @@ impl Definition {
             kind: Kind::Vector { elements },
             difference_of: None,
             optical_flow: false,
+            depth_range_m: None,
+            segmentation: None,
             groups: Vec::new(),
             contact_kinds: Vec::new(),
             objects: None,
@@ -209,6 +238,21 @@ impl Definition {
     /// Returns whether the modality is an image rather than a vector.
     pub fn is_image(&self) -> bool {
         matches!(self.kind, Kind::Image { .. })
+    }
+
+    /// Returns whether an image, or the change of one, encodes something else than the colors that a camera sees.
+    pub fn is_coded(&self) -> bool {
+        self.optical_flow || self.depth_range_m.is_some() || self.segmentation.is_some()
+    }
+
+    /// Returns what an image shows, in words: `image` if it shows colors.
+    pub fn shows(&self) -> &'static str {
+        match (self.optical_flow, self.depth_range_m, &self.segmentation) {
+            (true, ..) => "optical flow",
+            (_, Some(_), _) => "depth image",
+            (.., Some(_)) => "segmentation",
+            _ => "image",
+        }
     }
 
     /// Returns the rows and columns of an image; `None` for a vector.
@@ -320,7 +364,7 @@ pub struct Region {
 pub struct Layout {
     /// The modalities, including [`Modality::SETPOINT`], in the order of the columns.
     pub modalities: Vec<Definition>,
-    /// The regions of the images. A pixel that matches several regions belongs to the last of them.
+    /// The regions of the images of cameras without a segmentation, which colors tell. A pixel that matches several regions belongs to the last of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
 }
@@ -373,9 +417,27 @@ impl Layout {
             .filter(|definition| definition.is_image() && definition.difference_of.is_none())
     }
 
-    /// Returns the images of cameras, which are all stored images except optical flows.
+    /// Returns the images of cameras, which are all stored images that encode nothing else than colors.
     pub fn camera_images(&self) -> impl Iterator<Item = &Definition> {
-        self.stored_images().filter(|definition| !definition.optical_flow)
+        self.stored_images().filter(|definition| !definition.is_coded())
+    }
+
+    /// Returns the segmentation whose classes are the regions of an image, or of the change of one, and the classes.
+    /// `None` if no segmentation of the same camera and size is recorded; colors then tell the regions.
+    pub fn segmentation_of(&self, modality: Modality) -> Option<(Modality, &[String])> {
+        let image = self.get(modality)?.difference_of.unwrap_or(modality);
+        self.stored_images().find_map(|definition| {
+            let Segmentation { classes, of } = definition.segmentation.as_ref()?;
+            of.contains(&image).then_some((definition.name, classes.as_slice()))
+        })
+    }
+
+    /// Returns the names of the regions of an image, or of the change of one.
+    pub fn regions_of(&self, modality: Modality) -> Vec<String> {
+        match self.segmentation_of(modality) {
+            Some((_, classes)) => classes.to_vec(),
+            None => self.regions.iter().map(|region| region.name.clone()).collect(),
+        }
     }
 
     /// Returns the modalities that a spec can name as inputs or outputs.

@@ -18,7 +18,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
 
-use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, Region, intern};
+use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, intern};
 use rayon::prelude::*;
 use std::str::FromStr;
 
@@ -220,12 +220,11 @@ struct RegionSums {
 }
 
 impl Evaluation {
-    /// Creates an evaluation of a modality. `regions` are the regions of its images.
-    pub fn new(definition: &Definition, regions: &[Region]) -> Self {
+    /// Creates an evaluation of a modality. `regions` are the names of the regions of its images.
+    pub fn new(definition: &Definition, regions: &[String]) -> Self {
         // Regions of images are only defined for changes of a camera's image.
-        let is_change = definition.difference_of.is_some() && !definition.optical_flow;
-        let of_image =
-            regions.iter().filter(|_| definition.is_image() && is_change).map(|region| &region.name);
+        let is_change = definition.difference_of.is_some() && !definition.is_coded();
+        let of_image = regions.iter().filter(|_| definition.is_image() && is_change);
         let width = if definition.is_image() { 1 } else { definition.width() };
         let region =
             |name: &String| RegionSums { name: name.clone(), series: vec![Series::default(); width] };

@@ -1,6 +1,6 @@
-//! Which region each pixel of an image shows, determined by its color.
+//! Which region each pixel of an image shows, determined by its color or by a segmentation.
 
-use harness_spec::{IMAGE_CHANNELS, Region};
+use harness_spec::{CLASS_COLORS, IMAGE_CHANNELS, Region};
 
 /// Returns the index of the region that a pixel shows, given its red, green and blue; `None` if it shows no region.
 ///
@@ -13,17 +13,27 @@ pub fn region_of(regions: &[Region], [red, green, blue]: [u8; 3]) -> Option<u8> 
     regions.iter().rposition(fits).map(|index| index as u8)
 }
 
+/// Returns the index of the class that a pixel of a segmentation shows, given its red, green and blue; `None` if it
+/// shows no class.
+pub fn class_of(pixel: [u8; IMAGE_CHANNELS]) -> Option<u8> {
+    CLASS_COLORS.iter().position(|(_, color)| *color == pixel).map(|index| index as u8)
+}
+
 /// Returns the region that each pixel shows before or after a change, `[pixel]`. Where both images show a region, the
-/// one that comes later in `regions` counts. The images are bytes, `[channel, row, column]`.
+/// later one counts. `region` returns the region of a pixel, given its red, green and blue. The images are bytes,
+/// `[channel, row, column]`.
 ///
 /// # Panics
 /// When the images differ in size.
-pub fn in_either(regions: &[Region], before: &[u8], after: &[u8]) -> Vec<Option<u8>> {
+pub fn in_either(
+    before: &[u8],
+    after: &[u8],
+    region: impl Fn([u8; IMAGE_CHANNELS]) -> Option<u8>,
+) -> Vec<Option<u8>> {
     assert_eq!(before.len(), after.len(), "both images have one size");
     let pixels = before.len() / IMAGE_CHANNELS;
-    let region = |image: &[u8], pixel: usize| {
-        region_of(regions, [image[pixel], image[pixels + pixel], image[2 * pixels + pixel]])
-    };
+    let region =
+        |image: &[u8], pixel: usize| region([image[pixel], image[pixels + pixel], image[2 * pixels + pixel]]);
     // `None` is smaller than any region.
     (0..pixels).map(|pixel| region(before, pixel).max(region(after, pixel))).collect()
 }

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_catalog::rows;
 use harness_figures::FigureError;
 use harness_figures::source::{Runs, Source};
-use harness_spec::{IMAGE_CHANNELS, Modality, Origin, Task};
+use harness_spec::{CLASS_COLORS, Definition, IMAGE_CHANNELS, Modality, Origin, Task};
 use image::imageops::{FilterType, resize};
 use image::{ImageFormat, RgbImage};
 use serde::{Deserialize, Serialize};
@@ -26,8 +26,8 @@ pub struct Images {
     modality: String,
     /// Whether they are changes, in which gray means no change.
     is_change: bool,
-    /// Whether they encode optical flow.
-    is_flow: bool,
+    /// What their colors encode; empty if they are those that a camera sees.
+    code: String,
     width: u32,
     height: u32,
     /// The episode and the number of each sample.
@@ -112,7 +112,7 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Images>, FigureError
             task,
             modality: modality.name().replace('_', " "),
             is_change: definition.difference_of.is_some(),
-            is_flow: definition.optical_flow,
+            code: code(definition),
             width,
             height,
             samples: samples.iter().map(|(sample, _)| *sample).collect(),
@@ -120,6 +120,20 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Images>, FigureError
         })
     };
     Ok(found.into_iter().filter_map(images).collect())
+}
+
+/// What the colors of an image encode, in words.
+fn code(definition: &Definition) -> String {
+    if definition.optical_flow {
+        return "optical flow in red (right) and green (down)".into();
+    }
+    if let Some([low, high]) = definition.depth_range_m {
+        return format!("depth from {low} to {high} m in red, and near depths in green");
+    }
+    let classes = definition.segmentation.iter().flat_map(|segmentation| &segmentation.classes);
+    let classes: Vec<String> =
+        CLASS_COLORS.iter().zip(classes).map(|((color, _), class)| format!("{class} in {color}")).collect();
+    classes.join(", ")
 }
 
 /// The rows of pictures of these samples: the references first, then the predictions by latent size.

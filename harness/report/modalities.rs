@@ -64,10 +64,9 @@ impl Row {
         let roles: Vec<&str> = roles.into_iter().filter_map(|(is_so, word)| is_so.then_some(word)).collect();
         let change = definition.difference_of.map(|of| format!("change of {of}, ")).unwrap_or_default();
         let what = match definition.size() {
-            Some([rows, columns]) if definition.optical_flow => {
-                format!("{change}optical flow of {rows} × {columns} pixels")
+            Some([rows, columns]) => {
+                format!("{change}{} of {rows} × {columns} pixels", definition.shows())
             }
-            Some([rows, columns]) => format!("{change}image of {rows} × {columns} pixels"),
             None => format!("{change}{}", harness_shared::numbers::counted(definition.width(), "value")),
         };
         Self {

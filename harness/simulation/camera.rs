@@ -2,48 +2,19 @@
 
 use super::SimulationError;
 use super::factors::FactorValues;
-use super::resolve::SceneCamera;
-use super::scene::{Scene, prepare, write_state};
+use super::opengl::{current_renderer_name, open_renderer, plain};
+use super::resolve::{Code, SceneCamera};
+use super::scene::{Scene, write_state};
+use super::sight::Sight;
 use image::RgbImage;
-use libloading::Library;
 use mujoco_rs::prelude::*;
-use mujoco_rs::renderer::{MjRenderer, MjRendererBuilder};
+use mujoco_rs::renderer::MjRenderer;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
-use std::ffi::{CStr, c_char, c_uint};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Longest side of a picture, pixels. A buffer larger than the driver's limit would end the process.
 const MAX_PICTURE_SIDE: u32 = 4096;
-
-/// Largest number of things in an image that are not geoms, such as sites and the segments of tendons. MuJoCo leaves
-/// out further ones without a warning. The limit of Python's `mujoco.Renderer` is also 10,000.
-const DECORATIONS: u32 = 10_000;
-
-/// Limits software rendering to the calling threads, because the simulators already use all cores.
-///
-/// Otherwise Mesa's llvmpipe starts a thread pool for every OpenGL context, which costs more than rendering images of
-/// 64 x 64 pixels. A value of `LP_NUM_THREADS` that the user has set is kept. GPUs ignore the variable.
-///
-/// # Safety
-/// It changes the environment, so no other thread may run. Call it at the start of `main`.
-pub unsafe fn prepare_rendering() {
-    if std::env::var_os("LP_NUM_THREADS").is_none() {
-        // SAFETY: the caller promises that this is the only thread.
-        unsafe { std::env::set_var("LP_NUM_THREADS", "0") };
-    }
-}
-
-/// Returns the name of the OpenGL renderer, for example "llvmpipe (LLVM 15.0.6, 256 bits)".
-///
-/// # Errors
-/// When there is no OpenGL to render with, or MuJoCo's library has another version.
-pub fn renderer_name() -> Result<String, SimulationError> {
-    prepare()?;
-    let model = MjModel::from_xml_string("<mujoco/>").expect("an empty model compiles");
-    let _renderer = open_renderer(&model, 1, 1)?;
-    Ok(current_renderer_name())
-}
 
 /// Renders a scene's state from one of its cameras, on the thread that created it.
 pub struct Camera {
@@ -117,25 +88,24 @@ pub struct SampleTime {
     pub plain_s: Option<f64>,
 }
 
-/// Measures how long the recorded cameras take to render a state; `None` if no camera is recorded.
+/// Measures how long the images of a sample take to render; `None` if no image is recorded that is rendered.
 pub(super) fn time_rendering<M: ModelType>(
     scene: &Scene,
     data: &mut MjData<M>,
 ) -> Result<Option<SampleTime>, SimulationError> {
-    if scene.cameras.is_empty() {
+    if scene.cameras.is_empty() && scene.sights.is_empty() {
         return Ok(None);
     }
+    let mut coded_s = 0.0;
+    for of in &scene.sights {
+        let mut sight = Sight::new(scene, of)?;
+        coded_s += shortest(|| sight.look(data))?;
+    }
     let mut time = |model: &MjModel| -> Result<f64, SimulationError> {
-        let mut total = 0.0;
+        let mut total = coded_s;
         for SceneCamera { camera, size: [rows, columns], .. } in &scene.cameras {
             let mut camera = Camera::for_model(model, scene, Some(*camera), *columns as u32, *rows as u32)?;
-            let mut shortest = f64::INFINITY;
-            for _ in 0..MEASUREMENTS {
-                let begun = Instant::now();
-                camera.capture(data)?;
-                shortest = shortest.min(begun.elapsed().as_secs_f64());
-            }
-            total += shortest;
+            total += shortest(|| camera.capture(data).map(drop))?;
         }
         Ok(total)
     };
@@ -146,12 +116,15 @@ pub(super) fn time_rendering<M: ModelType>(
     Ok(Some(SampleTime { own_s, plain_s }))
 }
 
-/// Returns a copy of the model that is rendered without shadows and smooth edges.
-fn plain(model: &MjModel) -> MjModel {
-    let mut model = model.clone();
-    let quality = &mut model.vis_mut().quality;
-    (quality.shadowsize, quality.offsamples) = (0, 0);
-    model
+/// Returns the shortest time that some work takes, s.
+fn shortest(mut work: impl FnMut() -> Result<(), SimulationError>) -> Result<f64, SimulationError> {
+    let mut shortest = f64::INFINITY;
+    for _ in 0..MEASUREMENTS {
+        let begun = Instant::now();
+        work()?;
+        shortest = shortest.min(begun.elapsed().as_secs_f64());
+    }
+    Ok(shortest)
 }
 
 /// Renders pictures for figures and videos, with shadows, smooth edges and round capsules, up to 4096 pixels wide or
@@ -165,8 +138,15 @@ pub struct SceneRenderer<'s> {
     data: MjData<Arc<MjModel>>,
     /// The model's camera; `None` for MuJoCo's free camera.
     view: Option<usize>,
-    camera: Camera,
+    eye: Eye,
     size: [u32; 2],
+}
+
+/// What draws a picture.
+enum Eye {
+    Camera(Camera),
+    /// The image of a modality that encodes depth or classes.
+    Sight(Sight, Code),
 }
 
 impl<'s> SceneRenderer<'s> {
@@ -198,18 +178,23 @@ impl<'s> SceneRenderer<'s> {
     }
 
     /// Creates a renderer for the images that a modality of the scene records, with their size and quality. Without
-    /// `name`, it is the first modality that records a camera. `name` is that of the modality or of the camera.
+    /// `name`, it is the first modality that records a camera. `name` is that of the modality, which may also record a
+    /// depth or a segmentation, or that of the camera.
     ///
     /// # Errors
-    /// When no such modality records a camera, or there is no OpenGL to render with.
+    /// When no such modality records an image that can be rendered, or there is no OpenGL to render with.
     pub fn as_recorded(scene: &'s Scene, name: Option<&str>) -> Result<Self, SimulationError> {
         let cameras = scene.camera_names();
         let is_meant = |recorded: &&SceneCamera| {
             name.is_none_or(|name| recorded.modality.name() == name || cameras[recorded.camera] == name)
         };
+        if let Some((of, coded)) = name.and_then(|name| scene.coded(name)) {
+            let eye = Eye::Sight(Sight::new(scene, of)?, coded.code.clone());
+            let [rows, columns] = of.size.map(|side| side as u32);
+            return Ok(Self::with_eye(scene, scene.model.clone(), Some(of.camera), eye, [columns, rows]));
+        }
         let Some(recorded) = scene.cameras.iter().find(is_meant) else {
-            let recorded: Vec<String> =
-                scene.cameras.iter().map(|recorded| recorded.modality.to_string()).collect();
+            let recorded: Vec<String> = scene.rendered().map(|recorded| recorded.to_string()).collect();
             return Err(match name {
                 Some(name) if !recorded.is_empty() => unknown_camera(scene, name, &recorded),
                 _ => SimulationError::Unsuitable {
@@ -255,9 +240,19 @@ impl<'s> SceneRenderer<'s> {
         size: [u32; 2],
     ) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
-        let camera = Camera::for_model(&model, scene, view, size[0], size[1])?;
+        let eye = Eye::Camera(Camera::for_model(&model, scene, view, size[0], size[1])?);
+        Ok(Self::with_eye(scene, model, view, eye, size))
+    }
+
+    fn with_eye(
+        scene: &'s Scene,
+        model: Arc<MjModel>,
+        view: Option<usize>,
+        eye: Eye,
+        size: [u32; 2],
+    ) -> Self {
         let data = MjData::new(model.clone());
-        Ok(Self { scene, model, factors: FactorValues::default(), data, view, camera, size })
+        Self { scene, model, factors: FactorValues::default(), data, view, eye, size }
     }
 
     /// Renders all further pictures with these values of the factors of variation, as in [`super::EpisodePlan`].
@@ -305,7 +300,15 @@ impl<'s> SceneRenderer<'s> {
         }
         write_state(state, &mut self.data);
         self.data.forward();
-        let pixels = self.camera.capture(&mut self.data)?.to_vec();
+        let pixels = match &mut self.eye {
+            Eye::Camera(camera) => camera.capture(&mut self.data)?.to_vec(),
+            Eye::Sight(sight, code) => {
+                let mut pixels = Vec::new();
+                sight.look(&mut self.data)?;
+                sight.encode(code, &mut pixels);
+                pixels
+            }
+        };
         let [width, height] = self.size;
         Ok(RgbImage::from_raw(width, height, pixels).expect("the frame has the size that was asked for"))
     }
@@ -339,30 +342,4 @@ fn good_looking(model: &MjModel, width: u32, height: u32) -> MjModel {
     visual.map.shadowclip = 3.0;
     model.light_castshadow_mut().fill(true);
     model
-}
-
-fn open_renderer(model: &MjModel, width: u32, height: u32) -> Result<MjRenderer, SimulationError> {
-    let renderer = MjRendererBuilder::new().width(width).height(height).num_visual_internal_geom(DECORATIONS);
-    renderer.build(model).map_err(|error| match error {
-        RendererError::GlutinError(cause) => SimulationError::NoRenderer { cause: cause.to_string() },
-        other => SimulationError::Render(other),
-    })
-}
-
-/// Returns the `GL_RENDERER` of the OpenGL context that is current on this thread, or `unknown`.
-fn current_renderer_name() -> String {
-    const GL_RENDERER: c_uint = 0x1F01;
-    type GetString = unsafe extern "C" fn(c_uint) -> *const c_char;
-    type GetAddress = unsafe extern "C" fn(*const c_char) -> Option<GetString>;
-    let name = || {
-        // SAFETY: the library is the one that made the context, so loading it runs no code. Both functions have these
-        // types by their specifications. The result of glGetString is a constant string or null.
-        unsafe {
-            let egl = Library::new("libEGL.so.1").ok()?;
-            let get_string = egl.get::<GetAddress>(b"eglGetProcAddress\0").ok()?(c"glGetString".as_ptr())?;
-            let name = get_string(GL_RENDERER);
-            (!name.is_null()).then(|| CStr::from_ptr(name).to_string_lossy().into_owned())
-        }
-    };
-    name().unwrap_or_else(|| "unknown".to_owned())
 }

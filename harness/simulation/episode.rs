@@ -6,6 +6,7 @@ use super::flow::Flow;
 use super::physics::{Instant, Physics};
 use super::plan::EpisodePlan;
 use super::scene::Scene;
+use super::sight::Sight;
 use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Simulation};
 use std::ops::ControlFlow;
 
@@ -17,6 +18,8 @@ pub struct Simulator<'s> {
     cameras: Vec<Camera>,
     /// One for each recorded flow of the scene.
     flows: Vec<Flow>,
+    /// One for each camera and size of the scene's depths and segmentations.
+    sights: Vec<Sight>,
 }
 
 impl<'s> Simulator<'s> {
@@ -31,7 +34,8 @@ impl<'s> Simulator<'s> {
         let cameras = scene.cameras.iter().map(|camera| Camera::recording(scene, camera));
         let cameras = cameras.collect::<Result<_, _>>()?;
         let flows = scene.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
-        Ok(Self { spec: spec.clone(), physics, cameras, flows })
+        let sights = scene.sights.iter().map(|sight| Sight::new(scene, sight)).collect::<Result<_, _>>()?;
+        Ok(Self { spec: spec.clone(), physics, cameras, flows, sights })
     }
 
     /// Simulates the episode with this index. It calls `on_sample` after each sample, which can cancel the episode.
@@ -45,9 +49,11 @@ impl<'s> Simulator<'s> {
     ) -> Result<Episode, SimulationError> {
         let plan = EpisodePlan::draw(self.physics.scene, &self.spec, index)?;
         let (scene, cameras, flows) = (self.physics.scene, &mut self.cameras, &mut self.flows);
-        let renderer = cameras.first().map(|camera| camera.renderer_name().to_owned());
+        let sights = &mut self.sights;
+        let names = cameras.iter().map(Camera::renderer_name).chain(sights.iter().map(Sight::renderer_name));
+        let renderer = names.into_iter().next().unwrap_or("none").to_owned();
         let mut episode = with_room(scene, &self.spec, &plan, self.physics.timing.samples);
-        episode.renderer = renderer.unwrap_or_else(|| "none".into());
+        episode.renderer = renderer;
         self.physics.run(&plan, &mut |instant, data| {
             record(&mut episode, scene, instant);
             for (camera, recorded) in cameras.iter_mut().zip(&scene.cameras) {
@@ -55,6 +61,12 @@ impl<'s> Simulator<'s> {
             }
             for (flow, recorded) in flows.iter_mut().zip(&scene.flows) {
                 episode.images[recorded.image.position].extend_from_slice(flow.render(instant));
+            }
+            for (sight, recorded) in sights.iter_mut().zip(&scene.sights) {
+                sight.look(data)?;
+                for coded in &recorded.coded {
+                    sight.encode(&coded.code, &mut episode.images[coded.image.position]);
+                }
             }
             match on_sample() {
                 ControlFlow::Continue(()) => Ok(()),
@@ -99,7 +111,7 @@ pub(super) fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, sa
     for (values, readings) in episode.vectors.iter_mut().zip(&scene.readings) {
         values.reserve_exact(samples * readings.len());
     }
-    for image in scene.cameras.iter().chain(scene.flows.iter().map(|flow| &flow.image)) {
+    for image in scene.images() {
         let [rows, columns] = image.size;
         episode.images[image.position].reserve_exact(samples * rows * columns * IMAGE_CHANNELS);
     }

@@ -16,6 +16,7 @@ mod live;
 mod load;
 mod motion;
 mod notes;
+mod opengl;
 mod physics;
 mod placement;
 mod plan;
@@ -23,17 +24,19 @@ mod plugins;
 mod resolve;
 mod scene;
 mod sensors;
+mod sight;
 mod standing;
 mod timing;
 mod trial;
 
 pub use batch::Batch;
-pub use camera::{Camera, SampleTime, SceneRenderer, prepare_rendering, renderer_name};
+pub use camera::{Camera, SampleTime, SceneRenderer};
 pub use draft::draft_world;
 pub use episode::{Simulator, refuse_policy, replay};
 pub use factors::FactorValues;
 pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
+pub use opengl::{prepare_rendering, renderer_name};
 pub use plan::EpisodePlan;
 pub use scene::Scene;
 

@@ -6,7 +6,9 @@ use super::episode::{record, refuse_policy, with_room};
 use super::flow::Flow;
 use super::physics::{Physics, sensed_position};
 use super::plan::EpisodePlan;
+use super::resolve::SceneSight;
 use super::scene::Scene;
+use super::sight::Sight;
 use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Pose, Simulation};
 use image::RgbImage;
 use std::cell::RefCell;
@@ -28,6 +30,8 @@ thread_local! {
     /// This thread's cameras. An OpenGL context belongs to the thread that created it, but a simulation can move
     /// between threads.
     static CAMERAS: RefCell<BTreeMap<(usize, Modality), Camera>> = const { RefCell::new(BTreeMap::new()) };
+    /// This thread's renderers of depths and segmentations, by scene, camera and size.
+    static SIGHTS: RefCell<BTreeMap<(usize, usize, [usize; 2]), Sight>> = const { RefCell::new(BTreeMap::new()) };
     /// The renderer that this thread used last, with its scene and size. The next picture most likely has the same.
     static RENDERER: RefCell<Option<(Picture, Box<SceneRenderer<'static>>)>> = const { RefCell::new(None) };
 }
@@ -148,7 +152,8 @@ impl LiveSimulation {
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
-    /// Writes a camera's RGB image or optical flow at this sample to `frame`, top row first, `[rows, columns, 3]`.
+    /// Writes an image at this sample to `frame`, top row first, `[rows, columns, 3]`: the colors that a camera sees, its
+    /// optical flow, its depth or its segmentation.
     ///
     /// # Errors
     /// When no camera is recorded for this modality, or there is no OpenGL to render with.
@@ -157,6 +162,13 @@ impl LiveSimulation {
         if let Some(place) = scene.flows.iter().position(|flow| flow.image.modality == modality) {
             frame.copy_from_slice(self.flows[place].render(&self.physics.instant));
             return Ok(());
+        }
+        if let Some((of, coded)) = scene.coded(modality.name()) {
+            return self.with_sight(of, |sight| {
+                let mut pixels = Vec::with_capacity(frame.len());
+                sight.encode(&coded.code, &mut pixels);
+                frame.copy_from_slice(&pixels);
+            });
         }
         let recorded = scene.cameras.iter().find(|camera| camera.modality == modality);
         let recorded = recorded.ok_or_else(|| SimulationError::Missing {
@@ -175,6 +187,22 @@ impl LiveSimulation {
         })
     }
 
+    /// Lets a camera look at this sample, and passes what it saw to `then`.
+    fn with_sight(&mut self, of: &SceneSight, then: impl FnOnce(&Sight)) -> Result<(), SimulationError> {
+        let scene = self.physics.scene;
+        SIGHTS.with_borrow_mut(|sights| {
+            let key = (key(scene), of.camera, of.size);
+            let sight = match sights.remove(&key) {
+                Some(sight) => sight,
+                None => Sight::new(scene, of)?,
+            };
+            let sight = sights.entry(key).or_insert(sight);
+            sight.look(self.physics.sampled().1)?;
+            then(sight);
+            Ok(())
+        })
+    }
+
     /// Returns the episode at whose start the simulation is, without samples. [`LiveSimulation::record`] appends them.
     pub fn new_episode(&self) -> Episode {
         let mut episode = with_room(self.physics.scene, &self.spec, &self.plan, self.physics.timing.samples);
@@ -189,8 +217,7 @@ impl LiveSimulation {
     pub fn record(&mut self, episode: &mut Episode) -> Result<(), SimulationError> {
         let scene = self.physics.scene;
         record(episode, scene, &self.physics.instant);
-        let flows = scene.flows.iter().map(|flow| &flow.image);
-        for image in scene.cameras.iter().chain(flows) {
+        for image in scene.images() {
             let pixels = &mut episode.images[image.position];
             let [rows, columns] = image.size;
             let before = pixels.len();
@@ -200,6 +227,10 @@ impl LiveSimulation {
         if let Some(camera) = scene.cameras.first() {
             CAMERAS.with_borrow(|cameras| {
                 episode.renderer = cameras[&(key(scene), camera.modality)].renderer_name().to_owned();
+            });
+        } else if let Some(of) = scene.sights.first() {
+            SIGHTS.with_borrow(|sights| {
+                episode.renderer = sights[&(key(scene), of.camera, of.size)].renderer_name().to_owned();
             });
         }
         Ok(())

@@ -135,10 +135,9 @@ fn unrecorded_forces(scene: &Scene) -> Option<String> {
 
 /// The geoms that a camera would see if it were not inside them.
 fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -> Vec<String> {
-    let images = scene.cameras.iter().chain(scene.flows.iter().map(|flow| &flow.image));
     let mut notes: Vec<String> = Vec::new();
-    for image in images.filter(|image| is_pinhole(&scene.model, image.camera)) {
-        let geoms = unrendered(data, image);
+    for image in scene.images().filter(|image| is_pinhole(&scene.model, image.camera)) {
+        let geoms = unrendered(data, &image);
         let names: Vec<String> =
             geoms.into_iter().map(|geom| name_of(&scene.model, MjtObjBase::mjOBJ_GEOM, geom)).collect();
         if !names.is_empty() {

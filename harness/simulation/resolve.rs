@@ -3,8 +3,8 @@
 use super::SimulationError;
 use super::standing::FreeBody;
 use harness_spec::{
-    Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Percentage, Posed, Property, Source,
-    World, clearance_setting, matching, range_setting,
+    Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Ordered, Percentage, Posed, Property,
+    Segmentation, Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -16,6 +16,7 @@ pub(super) struct Resolved {
     pub readings: Vec<Vec<Reading>>,
     pub cameras: Vec<SceneCamera>,
     pub flows: Vec<SceneFlow>,
+    pub sights: Vec<SceneSight>,
     pub posed: Vec<PosedObject>,
     pub actuators: Vec<Driven>,
     pub force_of_geom: Vec<Option<usize>>,
@@ -160,6 +161,31 @@ pub(super) struct SceneFlow {
     pub limit: f64,
 }
 
+/// A camera and a size of its images that encode depths or classes. One drawing gives all of them.
+#[derive(Debug, Clone)]
+pub(super) struct SceneSight {
+    pub camera: usize,
+    /// Rows and columns.
+    pub size: [usize; 2],
+    pub coded: Vec<SceneCoded>,
+}
+
+/// An image that encodes depths or classes.
+#[derive(Debug, Clone)]
+pub(super) struct SceneCoded {
+    pub image: SceneCamera,
+    pub code: Code,
+}
+
+/// What an image encodes.
+#[derive(Debug, Clone)]
+pub(super) enum Code {
+    /// Depths, with the lowest and the highest one, m.
+    Depth([f64; 2]),
+    /// The index of the class of each geom and of each flex.
+    Classes { of_geom: Vec<Option<usize>>, of_flex: Vec<Option<usize>> },
+}
+
 /// A factor of a world, with its names resolved in the model.
 #[derive(Debug, Clone)]
 pub(super) struct SceneFactor {
@@ -255,6 +281,15 @@ pub(super) fn name_of(model: &MjModel, kind: MjtObjBase, id: usize) -> String {
     name.map_or("one without a name".into(), |name| format!("'{name}'"))
 }
 
+/// Adds an image to those of the same camera and size.
+fn add_coded(sights: &mut Vec<SceneSight>, coded: SceneCoded) {
+    let SceneCamera { camera, size, .. } = coded.image;
+    match sights.iter_mut().find(|sight| (sight.camera, sight.size) == (camera, size)) {
+        Some(sight) => sight.coded.push(coded),
+        None => sights.push(SceneSight { camera, size, coded: vec![coded] }),
+    }
+}
+
 /// Largest number of names in a message.
 const NAMES_SHOWN: usize = 40;
 
@@ -287,7 +322,7 @@ impl<'a> Resolver<'a> {
         }
         let actuators = self.actuators()?;
         let mut modalities: Vec<(Definition, Vec<Reading>)> = Vec::new();
-        let (mut cameras, mut flows) = (Vec::new(), Vec::new());
+        let (mut cameras, mut flows, mut sights) = (Vec::new(), Vec::new(), Vec::new());
         for (name, sensing) in file.modalities.iter() {
             let Some(modality) = Modality::new(name) else { continue };
             let path = format!("modalities.{name}.{}", sensing.source().key());
@@ -298,8 +333,19 @@ impl<'a> Resolver<'a> {
                     cameras.push(SceneCamera { modality, position, camera, size });
                 }
                 Source::OpticalFlow { camera, size, limit } => {
-                    let camera = self.pinhole(camera, &path)?;
+                    let camera = self.pinhole(camera, "an optical flow", &path)?;
                     flows.push(SceneFlow { image: SceneCamera { modality, position, camera, size }, limit });
+                }
+                Source::Depth { camera, size, range_m } => {
+                    let camera = self.pinhole(camera, "a depth image", &path)?;
+                    let image = SceneCamera { modality, position, camera, size };
+                    add_coded(&mut sights, SceneCoded { image, code: Code::Depth(range_m) });
+                }
+                Source::Segmentation { camera, size, classes } => {
+                    let camera = self.find(CAMERA, camera, &path)?;
+                    let code = self.classes(classes, &format!("modalities.{name}.classes"))?;
+                    let image = SceneCamera { modality, position, camera, size };
+                    add_coded(&mut sights, SceneCoded { image, code });
                 }
                 _ => {}
             }
@@ -331,7 +377,19 @@ impl<'a> Resolver<'a> {
             |(definition, _): &(Definition, Vec<Reading>)| definition.elements() == setpoint.0.elements();
         let place = modalities.iter().position(is_sensed).map_or(modalities.len(), |index| index + 1);
         modalities.insert(place, setpoint);
-        let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image));
+        for coded in sights.iter().flat_map(|sight| &sight.coded) {
+            let is_of = |camera: &&SceneCamera| {
+                (camera.camera, camera.size) == (coded.image.camera, coded.image.size)
+            };
+            // The setpoint was inserted, so that the modality may have another place by now.
+            let definitions = modalities.iter_mut().map(|(definition, _)| definition);
+            let mut own = definitions.filter(|definition| definition.name == coded.image.modality);
+            if let Some(segmentation) = own.find_map(|definition| definition.segmentation.as_mut()) {
+                segmentation.of = cameras.iter().filter(is_of).map(|camera| camera.modality).collect();
+            }
+        }
+        let coded = sights.iter_mut().flat_map(|sight| &mut sight.coded).map(|coded| &mut coded.image);
+        let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image)).chain(coded);
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
         let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
@@ -344,6 +402,7 @@ impl<'a> Resolver<'a> {
             readings,
             cameras,
             flows,
+            sights,
             posed: self.posed,
             actuators,
             force_of_geom: self.force_of_geom,
@@ -429,6 +488,20 @@ impl<'a> Resolver<'a> {
                     format!("Optical flow of the camera {camera}, up to {limit} pixels a sample");
                 return Ok((definition, Vec::new()));
             }
+            Source::Depth { camera, size, range_m: [low, high] } => {
+                definition.kind = Kind::Image { size };
+                definition.depth_range_m = Some([low, high]);
+                definition.meaning = format!("Depth in the image of the camera {camera}, {low} to {high} m");
+                return Ok((definition, Vec::new()));
+            }
+            Source::Segmentation { camera, size, classes } => {
+                definition.kind = Kind::Image { size };
+                let names: Vec<String> = classes.iter().map(|(class, _)| class.to_owned()).collect();
+                definition.meaning =
+                    format!("Classes in the image of the camera {camera}: {}", names.join(", "));
+                definition.segmentation = Some(Segmentation { classes: names, of: Vec::new() });
+                return Ok((definition, Vec::new()));
+            }
             Source::DifferenceOf(of) => {
                 definition.meaning = format!("Change of {of} since the sample before");
                 definition.difference_of = Some(of);
@@ -436,6 +509,8 @@ impl<'a> Resolver<'a> {
                     definition.kind = other.kind.clone();
                     definition.groups = other.groups.clone();
                     definition.optical_flow = other.optical_flow;
+                    definition.depth_range_m = other.depth_range_m;
+                    definition.segmentation = other.segmentation.clone();
                     return Ok((definition, Vec::new()));
                 }
                 return Err(self.fault(path, format!("'{of}' must be listed before its difference")));
@@ -551,15 +626,49 @@ impl<'a> Resolver<'a> {
         Ok(sensed)
     }
 
-    /// Returns the index of a camera. It must be a perspective camera defined only by its field of view.
-    fn pinhole(&self, name: &str, path: &str) -> Result<usize, SimulationError> {
+    /// Returns the index of a camera. It must be a perspective camera defined only by its field of view, which `what`
+    /// needs.
+    fn pinhole(&self, name: &str, what: &str, path: &str) -> Result<usize, SimulationError> {
         let camera = self.find(CAMERA, name, path)?;
         if is_pinhole(self.model, camera) {
             return Ok(camera);
         }
-        let message =
-            "is orthographic or has a sensor size; an optical flow needs a perspective camera with a fovy";
-        Err(self.fault(path, format!("camera '{name}' {message}")))
+        let message = format!(
+            "camera '{name}' is orthographic or has a sensor size; {what} needs a perspective camera with a fovy"
+        );
+        Err(self.fault(path, message))
+    }
+
+    /// Returns the class of each geom and of each flex. A pattern names geoms or, where no geom matches, bodies or
+    /// flexes.
+    fn classes(&self, classes: &Ordered<Vec<String>>, path: &str) -> Result<Code, SimulationError> {
+        let mut of_geom = vec![None; self.model.ngeom() as usize];
+        let mut of_flex = vec![None; self.model.nflex() as usize];
+        for (class, (name, patterns)) in classes.iter().enumerate() {
+            let path = format!("{path}.{name}");
+            for pattern in patterns.chunks(1) {
+                let (of, found) = match (self.touchable(pattern, &path), self.matches(FLEX, pattern, &path)) {
+                    (Ok(found), _) => (&mut of_geom, found),
+                    (Err(_), Ok(flexes)) => (
+                        &mut of_flex,
+                        flexes.into_iter().map(|(name, flex)| (name, flex..flex + 1)).collect(),
+                    ),
+                    (Err(error), Err(_)) => return Err(error),
+                };
+                for (thing, ids) in found {
+                    for id in ids {
+                        if let Some((other, _)) = of[id].and_then(|other: usize| classes.0.get(other))
+                            && other != name
+                        {
+                            let message = format!("'{thing}' belongs to the class '{other}' as well");
+                            return Err(self.fault(&path, message));
+                        }
+                        of[id] = Some(class);
+                    }
+                }
+            }
+        }
+        Ok(Code::Classes { of_geom, of_flex })
     }
 
     /// Returns the modality that tells the kind of each contact of a force, if the world file divides them into kinds.

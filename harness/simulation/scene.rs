@@ -4,8 +4,8 @@ use super::course::Course;
 use super::load::{compile_error, load_file, load_text};
 use super::plugins::load_plugins;
 use super::resolve::{
-    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneFactor, SceneFlow,
-    Tip, within,
+    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded, SceneFactor,
+    SceneFlow, SceneSight, Tip, within,
 };
 use super::standing::GroundModel;
 use super::timing::Timing;
@@ -35,6 +35,7 @@ pub struct Scene {
     pub(super) readings: Vec<Vec<Reading>>,
     pub(super) cameras: Vec<SceneCamera>,
     pub(super) flows: Vec<SceneFlow>,
+    pub(super) sights: Vec<SceneSight>,
     /// The bodies and sites whose poses are sensed, by their indices in the model.
     pub(super) posed: Vec<PosedObject>,
     pub(super) actuators: Vec<Driven>,
@@ -151,10 +152,11 @@ impl Scene {
     ) -> Result<Self, SimulationError> {
         let resolved = Resolver::new(&world, &model).resolve()?;
         // Frames that are larger than the model's offscreen buffer would be refused.
-        for camera in &resolved.cameras {
+        let of_cameras = resolved.cameras.iter().map(|camera| camera.size);
+        for [rows, columns] in of_cameras.chain(resolved.sights.iter().map(|sight| sight.size)) {
             let buffer = &mut model.vis_mut().global;
-            buffer.offheight = buffer.offheight.max(camera.size[0] as i32);
-            buffer.offwidth = buffer.offwidth.max(camera.size[1] as i32);
+            buffer.offheight = buffer.offheight.max(rows as i32);
+            buffer.offwidth = buffer.offwidth.max(columns as i32);
         }
         let course = Course::of(&world)?;
         let rest = rest_of(&model, resolved.keyframe, &resolved.actuators);
@@ -170,6 +172,7 @@ impl Scene {
             readings: resolved.readings,
             cameras: resolved.cameras,
             flows: resolved.flows,
+            sights: resolved.sights,
             posed: resolved.posed,
             actuators: resolved.actuators,
             force_of_geom: resolved.force_of_geom,
@@ -331,9 +334,25 @@ impl Scene {
         (0..self.model.ncam() as usize).map(named).collect()
     }
 
-    /// Returns the modalities that record a camera, in the order of the layout.
-    pub fn recorded_cameras(&self) -> impl Iterator<Item = Modality> {
-        self.cameras.iter().map(|camera| camera.modality)
+    /// Returns the modalities whose images are rendered: those of cameras, and then depths and segmentations.
+    pub fn rendered(&self) -> impl Iterator<Item = Modality> {
+        let coded = self.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image.modality);
+        self.cameras.iter().map(|camera| camera.modality).chain(coded)
+    }
+
+    /// Returns all recorded images: of cameras, flows, depths and segmentations.
+    pub(super) fn images(&self) -> impl Iterator<Item = SceneCamera> {
+        let flows = self.flows.iter().map(|flow| flow.image);
+        let coded = self.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image);
+        self.cameras.iter().copied().chain(flows).chain(coded)
+    }
+
+    /// Returns the depth or segmentation that a modality records, with its camera.
+    pub(super) fn coded(&self, modality: &str) -> Option<(&SceneSight, &SceneCoded)> {
+        self.sights.iter().find_map(|sight| {
+            let coded = sight.coded.iter().find(|coded| coded.image.modality.name() == modality)?;
+            Some((sight, coded))
+        })
     }
 
     /// Returns a geom's name for messages, or that of its body if it has none.

@@ -116,10 +116,7 @@ impl Scene {
     /// Returns why a change of an object can't be noticed; `None` if it may be.
     fn unnoticed(&self, factor: &SceneFactor, thing: usize) -> Option<&'static str> {
         let model = &self.model;
-        let is_recorded = || {
-            let cameras = self.cameras.iter().map(|camera| camera.camera);
-            cameras.chain(self.flows.iter().map(|flow| flow.image.camera)).any(|camera| camera == thing)
-        };
+        let is_recorded = || self.images().any(|image| image.camera == thing);
         let touches = || (0..model.ngeom() as usize).any(|other| may_touch(model, thing, other));
         match factor.property {
             Property::BodyMass if model.body_weldid()[thing] == 0 => Some("the model can't move it"),
@@ -141,7 +138,7 @@ impl Scene {
     fn sees(&self, geom: usize) -> bool {
         let model = &self.model;
         let is_opaque = model.geom_rgba()[geom][3] > 0.0;
-        !(self.cameras.is_empty() && self.flows.is_empty()) && model.geom_group()[geom] < 3 && is_opaque
+        self.images().next().is_some() && model.geom_group()[geom] < 3 && is_opaque
     }
 
     /// Simulates episodes with the model's own values and with this value of a factor, until they differ.

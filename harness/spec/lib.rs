@@ -28,8 +28,9 @@ pub use built_in::{BuiltIn, SPECS, YamlFile, find};
 pub use error::SpecError;
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use harness_layout::{
-    Definition, Element, Episode, GivenScaling, GivenScalings, Group, IMAGE_CHANNELS, Kind, Layout, Modality,
-    NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings, intern, is_name,
+    CLASS_COLORS, Definition, Element, Episode, GivenScaling, GivenScalings, Group, IMAGE_CHANNELS, Kind,
+    Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings, Segmentation, intern,
+    is_name,
 };
 pub use origin::{Origin, Scenario};
 pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};

@@ -7,7 +7,7 @@ use super::origin::Scenario;
 use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
 use super::values::{ascending, globs};
-use harness_layout::{CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling};
+use harness_layout::{CLASS_COLORS, CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling};
 use harness_yaml::{
     NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
     unknown,
@@ -127,8 +127,8 @@ pub struct WorldFile {
 }
 
 /// A modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
-/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow` and `difference_of`, and
-/// its properties.
+/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow`, `depth`, `segmentation`
+/// and `difference_of`, and its properties.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensing {
@@ -188,11 +188,31 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "limit")]
     pub limit_pixels: Option<f64>,
+    /// The depth that a camera sees, encoded as an image: the distance of each visible point from the plane of the
+    /// camera. Red is 0 at the lower and 255 at the upper end of `range_m`, and linear between them. Green is 255 times
+    /// the lower end over the depth. Blue is 255 where something is visible.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub depth: Option<String>,
+    /// The range of depths that an image encodes, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "depths")]
+    pub range_m: Option<[f64; 2]>,
+    /// What a camera sees, encoded as an image in which each class of `classes` has a color. It also tells the regions
+    /// of the images of the same camera and size, for their metrics.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "text")]
+    pub segmentation: Option<String>,
+    /// The classes of a segmentation, by name: one to seven lists of geoms, bodies or flexes. Their colors are red,
+    /// green, blue, yellow, cyan, magenta and white, in their order. All else is black.
+    #[serde(default, skip_serializing_if = "Ordered::is_empty")]
+    #[schemars(schema_with = "groups")]
+    pub classes: Ordered<Vec<String>>,
     /// The change of another modality since the previous sample. It is zero at an episode's first sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "text")]
     pub difference_of: Option<String>,
-    /// Rows and columns of a camera's image or optical flow, pixels.
+    /// Rows and columns of an image, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "size")]
     pub size: Option<[usize; 2]>,
@@ -418,6 +438,11 @@ mod plain {
     pub fn limit(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number", "exclusiveMinimum": 0.0, "maximum": MAX_IMAGE_SIDE })
     }
+    pub fn depths(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "array", "minItems": 2, "maxItems": 2, "items": { "type": "number", "exclusiveMinimum": 0.0 },
+        })
+    }
     pub fn number(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number" })
     }
@@ -449,7 +474,9 @@ mod plain {
         generator.subschema_for::<Sector>()
     }
 }
-use plain::{averaged, axis, groups, limit, number, percentage, rectangle, scale, sector, size, text};
+use plain::{
+    averaged, axis, depths, groups, limit, number, percentage, rectangle, scale, sector, size, text,
+};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
@@ -504,6 +531,24 @@ pub enum Source<'a> {
         /// The largest displacement that the image can encode, pixels.
         limit: f64,
     },
+    /// The depth that a camera sees, as an image.
+    Depth {
+        /// Name of the camera in the MJCF.
+        camera: &'a str,
+        /// Rows and columns, pixels.
+        size: [usize; 2],
+        /// The depths at which red is 0 and 255, m.
+        range_m: [f64; 2],
+    },
+    /// The classes of what a camera sees, as an image.
+    Segmentation {
+        /// Name of the camera in the MJCF.
+        camera: &'a str,
+        /// Rows and columns, pixels.
+        size: [usize; 2],
+        /// Patterns of the names of geoms, bodies or flexes, by class.
+        classes: &'a Ordered<Vec<String>>,
+    },
     /// The change of another modality since the sample before.
     DifferenceOf(Modality),
 }
@@ -534,6 +579,8 @@ impl Source<'_> {
             Self::Sensor(_) => "sensor",
             Self::Camera { .. } => "camera",
             Self::OpticalFlow { .. } => "optical_flow",
+            Self::Depth { .. } => "depth",
+            Self::Segmentation { .. } => "segmentation",
             Self::DifferenceOf(_) => "difference_of",
         }
     }
@@ -542,7 +589,8 @@ impl Source<'_> {
 impl Sensing {
     /// The keys of which a modality has exactly one.
     const SOURCES: &str = "joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
-                           site_orientations, normal_force, sensor, camera, optical_flow, difference_of";
+                           site_orientations, normal_force, sensor, camera, optical_flow, depth, segmentation, \
+                           difference_of";
 
     /// Returns what the values are read from. The file must have passed the checks.
     pub fn source(&self) -> Source<'_> {
@@ -556,6 +604,7 @@ impl Sensing {
             names.as_deref().map(|names| Source::Pose { names, of, orientation, relative_to })
         };
         let limit = self.limit_pixels.unwrap_or(FLOW_LIMIT);
+        let (range_m, classes) = (self.range_m.unwrap_or_default(), &self.classes);
         let sources = [
             self.joint_positions.as_deref().map(Source::JointPositions),
             self.joint_velocities.as_deref().map(Source::JointVelocities),
@@ -567,6 +616,8 @@ impl Sensing {
             self.sensor.as_deref().map(Source::Sensor),
             self.camera.as_deref().map(|name| Source::Camera { name, size }),
             self.optical_flow.as_deref().map(|camera| Source::OpticalFlow { camera, size, limit }),
+            self.depth.as_deref().map(|camera| Source::Depth { camera, size, range_m }),
+            self.segmentation.as_deref().map(|camera| Source::Segmentation { camera, size, classes }),
             // The checks refuse a text that is not the name of a modality.
             self.difference_of
                 .as_deref()
@@ -575,9 +626,9 @@ impl Sensing {
         sources.into_iter().flatten()
     }
 
-    /// Returns whether it is the image or the flow of a camera. The difference of an image does not count.
+    /// Returns whether it is an image. The difference of an image does not count.
     fn is_image(&self) -> bool {
-        self.camera.is_some() || self.optical_flow.is_some()
+        [&self.camera, &self.optical_flow, &self.depth, &self.segmentation].iter().any(|key| key.is_some())
     }
 }
 
@@ -797,6 +848,11 @@ impl World {
                 // Bodies were placed by another rule before, which held for boxes on a floor at z = 0 only.
                 identity["placement_rule"] = 2.into();
             }
+            let classes = file.modalities.iter().map(|(_, sensing)| sensing.classes.names());
+            let classes: Vec<Vec<&str>> = classes.filter(|classes| !classes.is_empty()).collect();
+            if !classes.is_empty() {
+                identity["classes"] = serde_json::json!(classes);
+            }
             identity["order"] = serde_json::json!({
                 "actuators": file.action.actuators.names(),
                 "placement": file.placement.names(),
@@ -828,9 +884,8 @@ impl World {
     pub(super) fn known(&self, modality: Modality) -> Option<Known> {
         let sensing = self.sensing(modality)?;
         let size = match sensing.source() {
-            Source::Camera { size, .. } | Source::OpticalFlow { size, .. } => Some(size),
             Source::DifferenceOf(of) => self.sensing(of)?.size,
-            _ => None,
+            _ => sensing.size,
         };
         Some(Known { size, scaling: self.scaling(modality)? })
     }
@@ -845,8 +900,7 @@ impl World {
         let default = match sensing.source() {
             Source::NormalForce { .. } => Scaling { scale: Scale::Shared, minimum: Some(0.0) },
             Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.is_image()),
-            Source::Camera { .. } | Source::OpticalFlow { .. } => Scaling::plain(true),
-            _ => Scaling::plain(false),
+            _ => Scaling::plain(sensing.is_image()),
         };
         Some(Scaling {
             scale: sensing.scale.unwrap_or(default.scale),
@@ -1007,11 +1061,23 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         return Err(("", "a camera's image needs its size: rows and columns, as [96, 96]".into()));
     }
     if !is_camera && sensing.size.is_some() {
-        return misplaced("size", "a camera or an optical_flow");
+        return misplaced("size", "a camera, an optical_flow, a depth or a segmentation");
     }
     if sensing.limit_pixels.is_some() && sensing.optical_flow.is_none() {
         return misplaced("limit_pixels", "an optical_flow");
     }
+    match (&sensing.depth, sensing.range_m) {
+        (Some(_), None) => return Err(("", "a depth needs the range_m that it encodes, as [0.1, 2]".into())),
+        (None, Some(_)) => return misplaced("range_m", "a depth"),
+        (Some(_), Some([low, high])) if low >= high => {
+            return Err((
+                "range_m",
+                format!("the lower end must be below the upper end; found {low} and {high}"),
+            ));
+        }
+        _ => {}
+    }
+    classes(sensing).map_err(|message| ("classes", message))?;
     if sensing.average_over.is_some() && sensing.normal_force.is_none() {
         return misplaced("average_over", "a normal_force");
     }
@@ -1047,6 +1113,21 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         return Err(("percentage", "errors of images are not given in percent".into()));
     }
     Ok(())
+}
+
+/// Checks the classes of a segmentation.
+fn classes(sensing: &Sensing) -> Result<(), String> {
+    let names = sensing.classes.names();
+    match (&sensing.segmentation, names.len()) {
+        (None, 0) => {}
+        (None, _) => return Err("only a segmentation has 'classes'".into()),
+        (Some(_), 0) => return Err("a segmentation needs classes, as {hand: hand_*, box: box_*}".into()),
+        (Some(_), count) if count > CLASS_COLORS.len() => {
+            return Err(format!("an image can encode {} classes; found {count}", CLASS_COLORS.len()));
+        }
+        _ => {}
+    }
+    names.into_iter().try_for_each(|name| named("a class", name))
 }
 
 /// Checks the kinds of contact of a force, whose values are recorded as a modality.

@@ -4,7 +4,7 @@ use super::{sample_of, sensed, simulate};
 use harness_simulation::{Episode, LiveSimulation, Scene};
 use harness_spec::{Modality, Simulation, World};
 
-const STAGE: &str = r#"<mujoco model="stage">
+pub(super) const STAGE: &str = r#"<mujoco model="stage">
   <compiler autolimits="true"/>
   <option timestep="0.001" integrator="implicitfast"/>
   <visual>
