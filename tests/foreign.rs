@@ -333,9 +333,33 @@ const TOUCH_GRID: Robot = Robot {
     compared: &["sensor", "normal_force", "body_positions"],
 };
 
+/// A ball that a mocap body carries by a weld. It has no actuator.
+const MOCAP: Robot = Robot {
+    model: (FIXTURES, "mocap.xml"),
+    input: "[joints, places]",
+    output: "[joints, other_joints]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["normal_force", "body_positions", "body_orientations", "camera"],
+};
+/// A soft block of 27 vertices that a servo presses.
+const JELLY: Robot = Robot {
+    model: (FIXTURES, "jelly.xml"),
+    input: "[joints, flex_force]",
+    output: "[joints, flex_force]",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: &["normal_force", "body_positions", "camera"],
+};
+
 #[test]
 fn models_with_mujocos_plugins_record_what_python_computes() {
     [CABLE, TOUCH_GRID].iter().for_each(Robot::assert_recorded_as_python_computes);
+}
+
+#[test]
+fn mocap_and_soft_bodies_record_what_python_computes() {
+    [MOCAP, JELLY].iter().for_each(Robot::assert_recorded_as_python_computes);
 }
 
 #[test]

@@ -539,7 +539,9 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
     succeed(folder.path(), &["world", "new", &path("hand.xml")]);
     let text = fs::read_to_string(folder.path().join("hand.yaml")).unwrap();
     for expected in [
-        "several numbers: the ball joint of body 'thumb', the free joint of body 'b1', the free joint of body 'b2'.\n",
+        "several values: the ball joint of body 'thumb', the free joint of body 'b1', the free joint of body 'b2'.\n",
+        "\n  #other_joints: {joint_positions: [\"x0\"]}\n",
+        "\n  #other_joint_velocities: {joint_velocities: [\"x0\"]}\n",
         "\n  #body_positions: {body_positions: [\"b1\", \"b2\"]}\n",
         "\n  #body_orientations: {body_orientations: [\"thumb\", \"b1\", \"b2\"]}\n",
         "\n  #other_contact_force: {normal_force: [\"g3\", \"b1\", \"b2\"]}\n",
@@ -566,7 +568,9 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
     fs::write(folder.path().join("hand.yaml"), text.lines().map(used).collect::<String>()).unwrap();
     let said = check();
     assert!(
-        said.contains("12 values: thumb_w") && said.contains("3 values: g3 (N), b1 (N), b2 (N)"),
+        said.contains("12 values: thumb_w")
+            && said.contains("4 values: x0_qw (1)")
+            && said.contains("3 values: g3 (N), b1 (N), b2 (N)"),
         "{said}"
     );
     assert!(!unrecorded.iter().any(|note| said.contains(note)), "{said}");

@@ -122,7 +122,7 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
     Ok(text)
 }
 
-/// Writes the hinges and slides, and comments that record the bodies of ball and free joints.
+/// Writes the hinges and slides, and comments that record the ball and free joints and their bodies.
 fn joints(text: &mut String, model: &MjModel) {
     let joints = named(model, MjtObjBase::mjOBJ_JOINT);
     let names: Vec<&str> =
@@ -137,9 +137,16 @@ fn joints(text: &mut String, model: &MjModel) {
     }
     let _ = writeln!(
         text,
-        "  # Left out, because their positions are several numbers: {}.",
+        "  # Left out, because each has several values: {}.",
         left_out.iter().map(|joint| described(model, *joint)).collect::<Vec<_>>().join(", ")
     );
+    let others: Vec<&str> =
+        joints.iter().filter(|(_, id)| !is_single(model, *id)).map(|(name, _)| *name).collect();
+    if !others.is_empty() {
+        let _ = writeln!(text, "  # To record those with a name, remove the # from these lines:");
+        optional_entry(text, "other_joints", &[("joint_positions", list(&others))]);
+        optional_entry(text, "other_joint_velocities", &[("joint_velocities", list(&others))]);
+    }
     let bodies = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {
         left_out
             .iter()
@@ -159,8 +166,8 @@ fn joints(text: &mut String, model: &MjModel) {
     }
 }
 
-/// Writes the forces on the geoms that hinges and slides move or, if none of them has a name, on their bodies. Those
-/// that ball and free joints move are in a comment.
+/// Writes the forces on the geoms that hinges and slides move or, if none of them has a name, on their bodies, and the
+/// forces on flexes. Those that ball and free joints move are in a comment.
 fn contact_forces(text: &mut String, model: &MjModel) {
     let geoms = named(model, MjtObjBase::mjOBJ_GEOM);
     let is_moved = |is_wanted: &dyn Fn(usize) -> bool| -> Vec<&str> {
@@ -181,6 +188,11 @@ fn contact_forces(text: &mut String, model: &MjModel) {
         (is_moved(&|joint| is_single(model, joint)), is_moved(&|joint| !is_single(model, joint)));
     if !links.is_empty() {
         entry(text, "contact_force", &[("normal_force", list(&links))]);
+    }
+    let flexes: Vec<&str> =
+        named(model, MjtObjBase::mjOBJ_FLEX).into_iter().map(|(name, _)| name).collect();
+    if !flexes.is_empty() {
+        entry(text, "flex_force", &[("normal_force", list(&flexes))]);
     }
     if !others.is_empty() {
         text.push_str(

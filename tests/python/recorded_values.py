@@ -3,8 +3,8 @@
     recorded_values.py MODEL.xml WORLD.json DATASET STARTS.f64 CONTROLS.f64 STEPS_PER_SAMPLE
 
 WORLD is the world file as JSON, and DATASET a folder of recorded episodes. STARTS holds the first generalized
-positions of each episode, and CONTROLS the controls of each of its steps, for the world's actuators. Both are
-little-endian 64-bit floats.
+positions of each episode (and, if the action moves mocap bodies, the positions of all mocap bodies), and CONTROLS the
+setpoints of each of its steps, for the elements of the action. Both are little-endian 64-bit floats.
 
 A dataset does not hold the whole state: that of free and ball joints, of soft bodies and of muscles is missing.
 So each episode is simulated again, and each value is computed by `mj_forward` from a copy of the state before the
@@ -27,10 +27,10 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as parquet
 
-GEOM, BODY, SITE, JOINT, SENSOR = (
-    getattr(mujoco.mjtObj, f"mjOBJ_{kind}") for kind in ("GEOM", "BODY", "SITE", "JOINT", "SENSOR")
+GEOM, BODY, SITE, JOINT, SENSOR, FLEX = (
+    getattr(mujoco.mjtObj, f"mjOBJ_{kind}") for kind in ("GEOM", "BODY", "SITE", "JOINT", "SENSOR", "FLEX")
 )
-COUNTS = {GEOM: "ngeom", BODY: "nbody", SITE: "nsite", JOINT: "njnt", SENSOR: "nsensor"}
+COUNTS = {GEOM: "ngeom", BODY: "nbody", SITE: "nsite", JOINT: "njnt", SENSOR: "nsensor", FLEX: "nflex"}
 
 # Columns that no modality has.
 PLACE = {"dataset", "scenario", "episode", "sample"}
@@ -56,6 +56,21 @@ def upright(quaternion):
     return -quaternion if quaternion[0] < 0 else quaternion
 
 
+def joint_position(values):
+    """The position of a joint. Orientations, of ball and free joints, have w of at least 0."""
+    if len(values) == 1:
+        return values
+    return np.concatenate([values[:-4], upright(values[-4:])])
+
+
+# The ends of the columns of a joint, by its type: free, ball, slide, hinge.
+AXES, QUATERNION, TURNING = ["_x", "_y", "_z"], ["_qw", "_qx", "_qy", "_qz"], ["_rx", "_ry", "_rz"]
+PARTS_OF_JOINTS = {
+    "joint_positions": [AXES + QUATERNION, QUATERNION, [""], [""]],
+    "joint_velocities": [AXES + TURNING, TURNING, [""], [""]],
+}
+
+
 def site_orientation(data, site):
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, data.site_xmat[site])
@@ -63,23 +78,26 @@ def site_orientation(data, site):
 
 
 def normal_forces(model, data, links):
-    """For each link, a set of geoms, the sum of the normal forces of all contacts of its geoms."""
+    """For each link, a set of geoms and flexes, the sum of the normal forces of all its contacts."""
     forces, wrench = np.zeros(len(links)), np.zeros(6)
     for index in range(data.ncon):
         mujoco.mj_contactForce(model, data, index, wrench)
-        touching = set(data.contact[index].geom.tolist())
-        for link, geoms in enumerate(links):
-            if touching & geoms:
+        contact = data.contact[index]
+        touching = {(GEOM, geom) for geom in contact.geom.tolist()} | {(FLEX, flex) for flex in contact.flex.tolist()}
+        for link, parts in enumerate(links):
+            if touching & parts:
                 forces[link] += wrench[0]
     return forces
 
 
 def links_of(model, patterns):
-    """The names and the geoms of the links whose contacts are sensed: matching geoms or, without any, bodies."""
-    geoms, bodies = (matching(model, kind, patterns) for kind in (GEOM, BODY))
-    if geoms:
-        return [model.geom(geom).name for geom in geoms], [{geom} for geom in geoms]
-    of_body = [set(np.flatnonzero(model.geom_bodyid == body).tolist()) for body in bodies]
+    """The names and the parts of the links whose contacts are sensed: geoms or, if none matches, bodies or flexes."""
+    for kind in (GEOM, FLEX):
+        found = matching(model, kind, patterns)
+        if found and (kind == GEOM or not matching(model, BODY, patterns)):
+            return [mujoco.mj_id2name(model, kind, index) for index in found], [{(kind, index)} for index in found]
+    bodies = matching(model, BODY, patterns)
+    of_body = [{(GEOM, geom) for geom in np.flatnonzero(model.geom_bodyid == body).tolist()} for body in bodies]
     return [model.body(body).name for body in bodies], of_body
 
 
@@ -97,14 +115,19 @@ def reader(model, sensing):
         "body_orientations": (BODY, turns, lambda data, body: upright(data.xquat[body])),
         "site_positions": (SITE, places, lambda data, site: data.site_xpos[site]),
         "site_orientations": (SITE, turns, site_orientation),
-        "joint_positions": (JOINT, [""], lambda data, joint: data.qpos[[model.jnt_qposadr[joint]]]),
-        "joint_velocities": (JOINT, [""], lambda data, joint: data.qvel[[model.jnt_dofadr[joint]]]),
+        "joint_positions": (JOINT, None, lambda data, joint: joint_position(data.joint(joint).qpos)),
+        "joint_velocities": (JOINT, None, lambda data, joint: data.joint(joint).qvel),
     }
     for source, (kind, parts, value) in sources.items():
         if source in sensing:
             found = matching(model, kind, sensing[source])
             ends = columns_of([mujoco.mj_id2name(model, kind, index) for index in found])
-            columns = [end + part for end in ends for part in parts]
+            of_joint = PARTS_OF_JOINTS[source] if kind == JOINT else None
+            columns = [
+                end + part
+                for end, index in zip(ends, found)
+                for part in (of_joint[model.jnt_type[index]] if of_joint else parts)
+            ]
             return source, columns, lambda data: np.concatenate([value(data, index) for index in found])
     if "sensor" in sensing:
         found = [model.sensor(index) for index in matching(model, SENSOR, sensing["sensor"])]
@@ -116,14 +139,32 @@ def reader(model, sensing):
     return "normal_force", columns_of(names), lambda data: normal_forces(model, data, links)
 
 
-def states(model, start, controls, actuators):
+def drive(model, driven):
+    """Returns a function that applies a setpoint: to actuators, or to coordinates of mocap bodies."""
+    mocaps = {place: own for place, own in enumerate(driven.values()) if "mocap" in own}
+    moved = {
+        place: (model.body(own["mocap"]).mocapid[0], "xyz".index(own["axis"])) for place, own in mocaps.items()
+    }
+    names = {place: own.get("actuator") or name for place, (name, own) in enumerate(driven.items())}
+    actuators = {place: model.actuator(name).id for place, name in names.items() if place not in mocaps}
+
+    def apply(data, setpoint):
+        for place, actuator in actuators.items():
+            data.ctrl[actuator] = setpoint[place]
+        for place, (body, axis) in moved.items():
+            data.mocap_pos[body, axis] = setpoint[place]
+
+    return apply
+
+
+def states(model, start, controls, apply):
     """Simulates an episode, and yields the state before each step with all quantities that follow from it."""
     data, instant = mujoco.MjData(model), mujoco.MjData(model)
     whole = mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.zeros(mujoco.mj_stateSize(model, whole))
-    data.qpos[:] = start
+    data.qpos[:] = start[: model.nq]
     for control in controls:
-        data.ctrl[actuators] = control
+        apply(data, control)
         mujoco.mj_getState(model, data, state, whole)
         mujoco.mj_setState(model, instant, state, whole)
         mujoco.mj_forward(model, instant)
@@ -168,9 +209,9 @@ def main(model_path, world_path, dataset, starts_path, controls_path, steps_per_
     world = json.loads(Path(world_path).read_text())
     files = sorted(Path(dataset).glob("episode_*.parquet"))
     driven = world["action"]["actuators"]
-    actuators = [model.actuator(own.get("actuator") or name).id for name, own in driven.items()]
-    starts = np.fromfile(starts_path, "<f8").reshape(len(files), model.nq)
-    controls = np.fromfile(controls_path, "<f8").reshape(len(files), -1, len(actuators))
+    apply = drive(model, driven)
+    starts = np.fromfile(starts_path, "<f8").reshape(len(files), -1)
+    controls = np.fromfile(controls_path, "<f8").reshape(len(files), -1, len(driven))
 
     vectors, means, cameras = {}, {}, {}
     compared = {"time": Comparison("time", TOLERANCE), "setpoint": Comparison("controls", TOLERANCE)}
@@ -188,7 +229,7 @@ def main(model_path, world_path, dataset, starts_path, controls_path, steps_per_
     left_over = set()
     for file, start, control in zip(files, starts, controls):
         computed, since = {name: [] for name in compared}, {name: [] for name in means}
-        for step, instant in enumerate(states(model, start, control, actuators)):
+        for step, instant in enumerate(states(model, start, control, apply)):
             for name, read in means.items():
                 since[name].append(read(instant))
             if step % int(steps_per_sample):
