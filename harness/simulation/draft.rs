@@ -189,8 +189,7 @@ fn contact_forces(text: &mut String, model: &MjModel) {
     if !links.is_empty() {
         entry(text, "contact_force", &[("normal_force", list(&links))]);
     }
-    let flexes: Vec<&str> =
-        named(model, MjtObjBase::mjOBJ_FLEX).into_iter().map(|(name, _)| name).collect();
+    let flexes: Vec<&str> = named(model, MjtObjBase::mjOBJ_FLEX).into_iter().map(|(name, _)| name).collect();
     if !flexes.is_empty() {
         entry(text, "flex_force", &[("normal_force", list(&flexes))]);
     }

@@ -47,6 +47,20 @@ impl FactorValues {
         sizes.map(|(_, _, values)| values[0]).product()
     }
 
+    /// Adds to the joints' positions at the start of an episode, within the limits of the joints.
+    pub(super) fn offset_joints(&self, scene: &Scene, qpos: &mut [f64]) {
+        let model = &scene.model;
+        for (_, joint, values) in self.each(scene).filter(|(property, ..)| *property == Property::JointStart)
+        {
+            let position = &mut qpos[model.jnt_qposadr()[joint] as usize];
+            *position += values[0];
+            if model.jnt_limited()[joint] {
+                let [low, high] = model.jnt_range()[joint];
+                *position = position.clamp(low, high);
+            }
+        }
+    }
+
     /// Returns each change: the property, the index of the object in the model, and the values.
     fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
         self.drawn.iter().flat_map(|(index, values)| {
@@ -62,7 +76,7 @@ impl FactorValues {
     /// Returns a copy of `model` with these values, or `model` itself if no factor is on. It must be the scene's model,
     /// or a copy that differs only in visual settings.
     pub(super) fn apply(&self, scene: &Scene, model: &Arc<MjModel>) -> Arc<MjModel> {
-        if self.drawn.is_empty() {
+        if !self.each(scene).any(|(property, ..)| property.is_of_model()) {
             return model.clone();
         }
         let mut varied = Box::new(MjModel::clone(model));
@@ -170,6 +184,8 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
             model.actuator_biasprm_mut()[thing][..AFFINE].iter_mut().for_each(|value| *value *= scale);
         }
         Property::Gravity => model.opt_mut().gravity.iter_mut().for_each(|value| *value *= scale),
+        // It is no property of the model.
+        Property::JointStart => {}
         Property::CameraRotation => {
             let turned = product(model.cam_quat()[thing], quaternion(values));
             model.cam_quat_mut()[thing] = turned;

@@ -250,7 +250,7 @@ impl<'s> Physics<'s> {
 
     /// Starts an episode: applies its factors of variation to the model, and sets the joints of position servos to the
     /// start of the motion and the boxes to their poses, all at rest. If the world names a keyframe, the joints have
-    /// its positions and velocities.
+    /// its positions and velocities. Factors can offset other joints.
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
@@ -270,6 +270,7 @@ impl<'s> Physics<'s> {
         for (driven, value) in driven.zip(&self.setpoint) {
             driven.qpos.iter().for_each(|index| qpos[*index] = *value);
         }
+        plan.factors.offset_joints(self.scene, qpos);
         let boxes = self.scene.placements.iter().flat_map(|placement| &placement.boxes);
         for (body, pose) in boxes.zip(&plan.boxes) {
             qpos[body.qpos..body.qpos + pose.len()].copy_from_slice(pose);

@@ -1,6 +1,7 @@
 //! Looks up the names of a world file in its MuJoCo model.
 
 use super::SimulationError;
+use super::joints::is_single;
 use super::standing::FreeBody;
 use harness_spec::{
     Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Ordered, Percentage, Posed, Property,
@@ -391,7 +392,7 @@ impl<'a> Resolver<'a> {
         let coded = sights.iter_mut().flat_map(|sight| &mut sight.coded).map(|coded| &mut coded.image);
         let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image)).chain(coded);
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
-        let (placements, factors) = (self.placements(&actuators)?, self.factors()?);
+        let (placements, factors) = (self.placements(&actuators)?, self.factors(&actuators)?);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
         self.check_columns(&factors, &definitions)?;
         let keyframe =
@@ -935,7 +936,7 @@ impl<'a> Resolver<'a> {
     }
 
     /// The factors of variation, which must be able to change something.
-    fn factors(&self) -> Result<Vec<SceneFactor>, SimulationError> {
+    fn factors(&self, actuators: &[Driven]) -> Result<Vec<SceneFactor>, SimulationError> {
         let mut factors = Vec::new();
         for (name, factor) in self.world.file().factors.iter() {
             let (property, patterns) = factor.property();
@@ -943,19 +944,31 @@ impl<'a> Resolver<'a> {
             let kind = kind_of(property);
             let found = self.matches(kind, patterns, &path)?;
             for (thing, id) in &found {
-                if let Some(problem) = self.unchangeable(property, *id) {
+                if let Some(problem) = self.unchangeable(property, *id, actuators) {
                     return Err(self.fault(&path, format!("{} '{thing}' {problem}", kind.1)));
                 }
             }
             let (names, things): (Vec<&str>, Vec<usize>) = found.into_iter().unzip();
-            let names = factor.each.then(|| short_names(patterns, &names));
+            let units: Vec<&str> = things.iter().map(|id| self.unit_of(property, *id)).collect();
+            let elements = match factor.each {
+                true => {
+                    let names = short_names(patterns, &names);
+                    let each: Vec<_> = names.iter().map(|name| Some(name.as_str())).zip(units).collect();
+                    property.elements(name, &each)
+                }
+                false if units.iter().any(|unit| Some(unit) != units.first()) => {
+                    let message = format!("the {} values have different units; set each: true", kind.1);
+                    return Err(self.fault(&path, message));
+                }
+                false => property.elements(name, &[(None, units.first().copied().unwrap_or("1"))]),
+            };
             factors.push(SceneFactor {
                 name: name.to_owned(),
                 property,
                 drawing: factor.drawing(),
                 things,
                 each: factor.each,
-                elements: property.elements(name, names.as_deref()),
+                elements,
             });
         }
         Ok(factors)
@@ -990,9 +1003,19 @@ impl<'a> Resolver<'a> {
         Ok(())
     }
 
+    /// Returns the unit of the values that a factor draws for an object.
+    fn unit_of(&self, property: Property, id: usize) -> &'static str {
+        let of_joint = || if self.model.jnt_type()[id] == SLIDE { "m" } else { "rad" };
+        property.unit().unwrap_or_else(of_joint)
+    }
+
     /// Returns why a factor can't change an object; `None` if it can.
-    fn unchangeable(&self, property: Property, id: usize) -> Option<String> {
+    fn unchangeable(&self, property: Property, id: usize, actuators: &[Driven]) -> Option<String> {
         let model = self.model;
+        let is_driven = |joint: usize| {
+            let place = model.jnt_qposadr()[joint] as usize;
+            actuators.iter().any(|driven| driven.qpos.contains(&place))
+        };
         let nothing = |word: &str| Some(format!("has no {word} that a factor could multiply"));
         match property {
             Property::JointStiffness if model.jnt_stiffness()[id] == 0.0 => nothing("stiffness"),
@@ -1014,6 +1037,12 @@ impl<'a> Resolver<'a> {
                     "is not a sphere, capsule, ellipsoid, cylinder or box, so its size can't be changed"
                         .into()
                 })
+            }
+            Property::JointStart if !is_single(model, id) => {
+                Some("is a ball or free joint; only hinges and slides have a start that can be offset".into())
+            }
+            Property::JointStart if is_driven(id) => {
+                Some("is moved by a position servo, so it starts at the setpoint; leave it out".into())
             }
             Property::Gravity if id != 0 => Some("has no gravity of its own; name the body 'world'".into()),
             Property::ActuatorStrength => {
@@ -1084,7 +1113,7 @@ impl<'a> Resolver<'a> {
 /// Returns the kind of the objects that have a property.
 pub(super) fn kind_of(property: Property) -> (MjtObjBase, &'static str) {
     match property {
-        Property::JointStiffness | Property::JointDamping => JOINT,
+        Property::JointStiffness | Property::JointDamping | Property::JointStart => JOINT,
         Property::BodyMass | Property::Gravity => BODY,
         Property::ActuatorStrength => ACTUATOR,
         Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,

@@ -75,7 +75,10 @@ impl Scene {
             return Some(format!("changes nothing for {}, because {reason}", self.names(factor, &alike)));
         }
         let [low, high] = factor.drawing.range();
-        let same: Vec<usize> = {
+        let neutral = factor.property.neutral();
+        let same: Vec<usize> = if !factor.property.is_of_model() {
+            if [low, high] == [neutral; 2] { factor.things.clone() } else { Vec::new() }
+        } else {
             let models =
                 [low, high].map(|value| FactorValues::of_one(self, place, value).apply(self, &self.model));
             let is_same = |thing: &usize| {
@@ -94,11 +97,12 @@ impl Scene {
             | Property::BodyMass
             | Property::GeomFriction
             | Property::ActuatorStrength
-            | Property::Gravity => true,
+            | Property::Gravity
+            | Property::JointStart => true,
             Property::GeomSize => !factor.things.iter().any(|geom| self.sees(*geom)),
             _ => false,
         };
-        let tried: Vec<f64> = [low, high].into_iter().filter(|value| is_moved && *value != 1.0).collect();
+        let tried: Vec<f64> = [low, high].into_iter().filter(|value| is_moved && *value != neutral).collect();
         let mut idle = Vec::new();
         for value in &tried {
             match self.has_effect(place, factor, *value) {
@@ -229,6 +233,7 @@ fn values(model: &MjModel, property: Property, thing: usize) -> Vec<f64> {
             [model.actuator_gainprm()[thing], model.actuator_biasprm()[thing]].concat()
         }
         Property::Gravity => model.opt().gravity.to_vec(),
+        Property::JointStart => Vec::new(),
     }
 }
 

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A factor of variation: exactly one of `joint_stiffness`, `joint_damping`, `body_mass`, `geom_friction`, `geom_size`,
-/// `geom_colour`, `light_brightness`, `camera_position`, `camera_rotation`, `actuator_strength` and `gravity`, and its
-/// distribution.
+/// `geom_colour`, `light_brightness`, `camera_position`, `camera_rotation`, `actuator_strength`, `gravity` and
+/// `joint_start`, and its distribution.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factor {
@@ -56,13 +56,18 @@ pub struct Factor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub gravity: Option<Vec<String>>,
+    /// Positions of hinges (rad) and slides (m) at the start of an episode, within the limits of the joints. The joints
+    /// of position servos that the action moves start at their setpoints instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub joint_start: Option<Vec<String>>,
     /// Distribution of the number by which the model's value is multiplied, for stiffness, damping, mass, friction,
     /// size, brightness, strength and gravity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub scale_by: Option<Distribution>,
-    /// Distribution of the number that is added to the model's value, for each channel of a color and each axis of a
-    /// position or rotation.
+    /// Distribution of the number that is added to the model's value, for each channel of a color, each axis of a
+    /// position or rotation, and the start of a joint.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub offset_by: Option<Distribution>,
@@ -144,6 +149,8 @@ pub enum Property {
     ActuatorStrength,
     /// Acceleration of gravity, multiplied.
     Gravity,
+    /// Position of hinges and slides at the start, with an offset, rad or m.
+    JointStart,
 }
 names!(Property {
     JointStiffness => "joint_stiffness",
@@ -157,6 +164,7 @@ names!(Property {
     CameraRotation => "camera_rotation",
     ActuatorStrength => "actuator_strength",
     Gravity => "gravity",
+    JointStart => "joint_start",
 });
 
 impl Property {
@@ -174,41 +182,53 @@ impl Property {
         self.components().len().max(1)
     }
 
-    fn unit(self) -> &'static str {
+    /// Returns the unit of the values; `None` if it depends on the object.
+    pub fn unit(self) -> Option<&'static str> {
         match self {
-            Self::CameraPosition => "m",
-            Self::CameraRotation => "rad",
-            _ => "1",
+            Self::CameraPosition => Some("m"),
+            Self::CameraRotation => Some("rad"),
+            Self::JointStart => None,
+            _ => Some("1"),
         }
     }
 
     /// Returns whether the values are added to the model's own values. If not, they are multiplied.
     fn is_offset(self) -> bool {
-        !self.components().is_empty()
+        !self.components().is_empty() || self == Self::JointStart
+    }
+
+    /// Returns the value that changes nothing.
+    pub fn neutral(self) -> f64 {
+        if self.is_offset() { 0.0 } else { 1.0 }
+    }
+
+    /// Returns whether the property is one of the compiled model, rather than of an episode's start.
+    pub fn is_of_model(self) -> bool {
+        self != Self::JointStart
     }
 
     /// Returns the lowest and the highest value that a distribution may have.
     fn bounds(self) -> [f64; 2] {
         match self {
             Self::GeomColour => [-1.0, 1.0],
-            Self::CameraPosition => [-1000.0, 1000.0],
+            Self::CameraPosition | Self::JointStart => [-1000.0, 1000.0],
             Self::CameraRotation => [-std::f64::consts::PI, std::f64::consts::PI],
             _ => [1e-3, 1e3],
         }
     }
 
-    /// Returns the elements of the values that a factor with the name `factor` draws. `things` are the names of the
-    /// objects if each has values of its own; `None` if they share them.
-    pub fn elements(self, factor: &str, things: Option<&[String]>) -> Vec<Element> {
-        let starts = match things {
-            Some(things) => things.iter().map(|thing| format!("{factor}_{thing}")).collect(),
-            None => vec![factor.to_owned()],
+    /// Returns the elements of the values that a factor with the name `factor` draws. `things` are the names and the
+    /// units of the objects that have values of their own; a single one without a name if all share them.
+    pub fn elements(self, factor: &str, things: &[(Option<&str>, &str)]) -> Vec<Element> {
+        let of_thing = |(thing, unit): &(Option<&str>, &str)| {
+            let start = thing.map_or(factor.to_owned(), |thing| format!("{factor}_{thing}"));
+            let names = match self.components() {
+                [] => vec![start],
+                components => components.iter().map(|component| format!("{start}_{component}")).collect(),
+            };
+            names.into_iter().map(|name| Element { name, unit: (*unit).to_owned() }).collect::<Vec<_>>()
         };
-        let names = starts.iter().flat_map(|start| match self.components() {
-            [] => vec![start.clone()],
-            components => components.iter().map(|component| format!("{start}_{component}")).collect(),
-        });
-        names.map(|name| Element { name, unit: self.unit().to_owned() }).collect()
+        things.iter().flat_map(of_thing).collect()
     }
 }
 
@@ -232,6 +252,7 @@ impl Factor {
             (Property::CameraRotation, &self.camera_rotation),
             (Property::ActuatorStrength, &self.actuator_strength),
             (Property::Gravity, &self.gravity),
+            (Property::JointStart, &self.joint_start),
         ];
         patterns.into_iter().filter_map(|(property, patterns)| Some((property, patterns.as_deref()?)))
     }

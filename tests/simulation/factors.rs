@@ -438,3 +438,82 @@ fn the_size_of_boxes_moves_only_those_that_would_be_too_near() {
     assert!((1..96).contains(&moved), "{moved} of 480 boxes moved");
     assert!(heights.iter().any(|height| *height > 0.17) && heights.iter().any(|height| *height < 0.13));
 }
+
+/// A pendulum and a cart that nothing drives, a wheel that a servo drives, and a ball joint.
+const LOOSE: &str = r#"<mujoco><compiler autolimits="true"/><option gravity="0 0 0"/><worldbody>
+    <body pos="0 0 1"><joint name="swing" axis="0 1 0" range="-60 60"/><geom size="0.1"/></body>
+    <body pos="1 0 1"><joint name="cart" type="slide" axis="1 0 0"/><geom size="0.1"/></body>
+    <body pos="2 0 1"><joint name="wheel" axis="0 0 1"/><geom size="0.1"/></body>
+    <body pos="3 0 1"><joint name="ball" type="ball"/><geom size="0.1"/></body>
+    </worldbody><actuator><position name="turn" joint="wheel" kp="10"/></actuator>
+    <keyframe><key name="tilted" qpos="0.5 1 0.1 1 0 0 0" ctrl="0.1"/></keyframe></mujoco>"#;
+
+fn loose(factor: &str, keyframe: &str) -> Result<Scene, String> {
+    let text = format!(
+        "model: loose.xml\nstep_rate_hz: 500\nmodalities:\n  joints: {{joint_positions: [swing, cart, wheel]}}\n  \
+         speeds: {{joint_velocities: [swing, cart, wheel]}}\naction: {{actuators: {{turn: {{range: [-1, 1]}}}}}}\n\
+         {keyframe}factors:\n  start: {{{factor}}}\n"
+    );
+    let world =
+        World::parse("loose.yaml", Some("".into()), "loose", &text).map_err(|error| error.to_string())?;
+    Scene::from_xml(world.into(), LOOSE, "loose.xml".into()).map_err(|error| error.to_string())
+}
+
+#[test]
+fn joints_start_where_the_factor_puts_them_within_their_limits() {
+    let wide = "joint_start: [swing, cart], offset_by: {uniform: [-3, 3]}, each: true";
+    let spec = |factors: &[&str]| Simulation { actuations_per_episode: 1, ..varied(factors) };
+    for (keyframe, rest) in [("", [0.0, 0.0, 0.0]), ("keyframe: tilted\n", [0.5, 1.0, 0.1])] {
+        let scene: &'static Scene = Box::leak(Box::new(loose(wide, keyframe).unwrap()));
+        let mut live = LiveSimulation::new(scene, &spec(&["start"])).unwrap();
+        let (mut clamped, limit) = (0, 60f64.to_radians());
+        for index in 0..10 {
+            let episode = simulate(scene, &spec(&["start"]), index);
+            let drawn = &episode.vector(Modality::FACTORS)[..2];
+            let joints = &episode.vector(Modality::new("joints").unwrap())[..3];
+            let swing = (rest[0] + f64::from(drawn[0])).clamp(-limit, limit);
+            clamped += usize::from(swing.abs() == limit);
+            assert_near(joints[0], swing, 1e-6);
+            assert_near(joints[1], rest[1] + f64::from(drawn[1]), 1e-6);
+            assert_near(joints[2], rest[2], 1e-6);
+            assert_eq!(episode.vector(Modality::new("speeds").unwrap())[..3], [0.0; 3]);
+            live.reset(spec(&[]).seed, index).unwrap();
+            assert_eq!(live.vector(Modality::new("joints").unwrap()).unwrap(), joints);
+        }
+        assert!((1..10).contains(&clamped), "{clamped} of 10 starts are at the limit");
+        let elements = simulate(scene, &spec(&["start"]), 0).layout[Modality::FACTORS].elements().to_vec();
+        let named: Vec<String> =
+            elements.iter().map(|element| format!("{} {}", element.name, element.unit)).collect();
+        assert_eq!(named, ["start_swing rad", "start_cart m"]);
+        assert!(scene.warnings().is_empty(), "{:?}", scene.warnings());
+        // Off, the start is that of a world that declares no factor.
+        assert_eq!(
+            simulate(scene, &spec(&[]), 0).vector(Modality::new("joints").unwrap())[..2],
+            rest.map(|v| v as f32)[..2]
+        );
+    }
+    let uniform = "offset_by: {uniform: [-1, 1]}";
+    for (factor, expected) in [
+        (
+            format!("joint_start: wheel, {uniform}"),
+            "joint 'wheel' is moved by a position servo, so it starts at the setpoint",
+        ),
+        (
+            format!("joint_start: ball, {uniform}"),
+            "joint 'ball' is a ball or free joint; only hinges and slides",
+        ),
+        (
+            format!("joint_start: [swing, cart], {uniform}"),
+            "the joint values have different units; set each: true",
+        ),
+        (
+            "joint_start: swing, scale_by: {uniform: [1, 2]}".into(),
+            "a factor of joint_start has a distribution of its offset",
+        ),
+    ] {
+        let said = loose(&factor, "").unwrap_err();
+        assert!(said.starts_with("loose.yaml:8:") && said.contains(expected), "{said}");
+    }
+    let said = loose("joint_start: swing, offset_by: {choice: 0}", "").unwrap().warnings();
+    assert!(said[0].to_string().contains("changes nothing for 'swing'"), "{said:?}");
+}
