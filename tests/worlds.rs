@@ -186,8 +186,8 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "",
             place("{joint_stiffness: "),
             "a factor has exactly one of joint_stiffness, joint_damping, body_mass, geom_friction, geom_size, \
-             geom_colour, light_brightness, camera_position, camera_rotation, actuator_strength, gravity, joint_start; \
-             found none",
+             geom_colour, light_brightness, camera_position, camera_rotation, actuator_strength, gravity, joint_start, \
+             sensor_noise; found none",
         ),
         (
             "finger_joint_*, scale_by: {log_uniform",

@@ -364,7 +364,8 @@ pub struct Region {
 pub struct Layout {
     /// The modalities, including [`Modality::SETPOINT`], in the order of the columns.
     pub modalities: Vec<Definition>,
-    /// The regions of the images of cameras without a segmentation, which colors tell. A pixel that matches several regions belongs to the last of them.
+    /// The regions of the images of cameras without a segmentation, which colors tell. A pixel that matches several
+    /// regions belongs to the last of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
 }

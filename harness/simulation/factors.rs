@@ -61,6 +61,20 @@ impl FactorValues {
         }
     }
 
+    /// Returns each factor of sensor noise by its name, with the places of its modalities in the layout and their
+    /// standard deviations.
+    pub(super) fn deviations<'a>(
+        &'a self,
+        scene: &'a Scene,
+    ) -> impl Iterator<Item = (&'a str, Vec<(usize, f64)>)> {
+        let drawn = self.drawn.iter().map(|(index, values)| (&scene.factors[*index], values));
+        drawn.filter(|(factor, _)| factor.property == Property::SensorNoise).map(|(factor, values)| {
+            let value = |place: usize| values[if factor.each { place } else { 0 }];
+            let things = factor.things.iter().enumerate();
+            (factor.name.as_str(), things.map(|(place, thing)| (*thing, value(place))).collect())
+        })
+    }
+
     /// Returns each change: the property, the index of the object in the model, and the values.
     fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
         self.drawn.iter().flat_map(|(index, values)| {
@@ -98,7 +112,7 @@ impl FactorValues {
 }
 
 /// Returns the random generator of a factor in an episode.
-fn stream(factor: &str, seed: u64, scenario: Scenario, episode: u32) -> ChaCha8Rng {
+pub(super) fn stream(factor: &str, seed: u64, scenario: Scenario, episode: u32) -> ChaCha8Rng {
     let identity = format!("harness factor {factor}: seed {seed}, scenario {scenario}, index {episode}");
     ChaCha8Rng::from_seed(Sha256::digest(identity).into())
 }
@@ -184,8 +198,7 @@ fn change(model: &mut MjModel, property: Property, thing: usize, values: &[f64])
             model.actuator_biasprm_mut()[thing][..AFFINE].iter_mut().for_each(|value| *value *= scale);
         }
         Property::Gravity => model.opt_mut().gravity.iter_mut().for_each(|value| *value *= scale),
-        // It is no property of the model.
-        Property::JointStart => {}
+        Property::JointStart | Property::SensorNoise => {}
         Property::CameraRotation => {
             let turned = product(model.cam_quat()[thing], quaternion(values));
             model.cam_quat_mut()[thing] = turned;

@@ -15,6 +15,7 @@ mod joints;
 mod live;
 mod load;
 mod motion;
+mod noise;
 mod notes;
 mod opengl;
 mod physics;

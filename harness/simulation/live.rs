@@ -152,8 +152,8 @@ impl LiveSimulation {
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
-    /// Writes an image at this sample to `frame`, top row first, `[rows, columns, 3]`: the colors that a camera sees, its
-    /// optical flow, its depth or its segmentation.
+    /// Writes an image at this sample to `frame`, top row first, `[rows, columns, 3]`: the colors that a camera sees,
+    /// its optical flow, its depth or its segmentation.
     ///
     /// # Errors
     /// When no camera is recorded for this modality, or there is no OpenGL to render with.

@@ -1,6 +1,7 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
+use super::noise::Noise;
 use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading};
@@ -31,6 +32,8 @@ pub(super) struct Physics<'s> {
     forces: Vec<f64>,
     /// Mean of the forces since the latest sampled instant.
     mean: MeanForces,
+    /// Noise of the samples that follow.
+    noise: Noise,
     /// The episode that is simulated, for messages.
     episode: u32,
     /// Steps since its start.
@@ -58,11 +61,13 @@ pub(super) struct Instant {
     pub contact_kinds: Vec<Vec<usize>>,
     /// Values of all of the model's sensors.
     pub sensors: Vec<f64>,
+    /// What is added to the values of each modality of the layout; empty for one without noise.
+    noise: Vec<Vec<f64>>,
 }
 
 impl Instant {
-    fn read(&self, reading: Reading) -> f32 {
-        let value = match reading {
+    fn read(&self, reading: Reading) -> f64 {
+        match reading {
             Reading::Position(index) => self.state[index],
             Reading::Orientation(first, index) => {
                 let sign = if self.state[first] < 0.0 { -1.0 } else { 1.0 };
@@ -75,13 +80,16 @@ impl Instant {
             Reading::ContactKind(division, index) => self.contact_kinds[division][index] as f64,
             Reading::Sensor(index) => self.sensors[index],
             Reading::Setpoint(index) => self.setpoint[index],
-        };
-        value as f32
+        }
     }
 
     /// Returns the elements of the vector with this index in the scene's layout.
     pub fn vector(&self, scene: &Scene, position: usize) -> impl Iterator<Item = f32> {
-        scene.readings[position].iter().map(|reading| self.read(*reading))
+        let noise = &self.noise[position];
+        scene.readings[position].iter().enumerate().map(move |(index, reading)| {
+            let value = self.read(*reading);
+            noise.get(index).map_or(value, |noise| value + noise) as f32
+        })
     }
 }
 
@@ -145,6 +153,7 @@ impl<'s> Physics<'s> {
             mean_forces: vec![0.0; scene.forces],
             contact_kinds: vec![vec![0; scene.forces]; scene.contact_kinds.len()],
             sensors: data.sensordata().to_vec(),
+            noise: vec![Vec::new(); scene.readings.len()],
         };
         Ok(Self {
             scene,
@@ -156,6 +165,7 @@ impl<'s> Physics<'s> {
             setpoint: vec![0.0; elements],
             forces: vec![0.0; scene.forces],
             mean: MeanForces::new(scene.forces),
+            noise: Noise::default(),
             episode: 0,
             step: 0,
         })
@@ -228,6 +238,8 @@ impl<'s> Physics<'s> {
                 for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
                     *pose = pose_of(data, *object);
                 }
+                let scene = self.scene;
+                self.noise.draw(|position| scene.readings[position].len(), &mut self.instant.noise);
                 return Ok(());
             }
         }
@@ -254,6 +266,7 @@ impl<'s> Physics<'s> {
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
+        self.noise = plan.noise.clone();
         // Starts from the scene's own model, so that no change of the previous episode remains.
         self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
         for data in [&mut self.data].into_iter().chain(&mut self.sampled) {

@@ -3,6 +3,7 @@
 use super::SimulationError;
 use super::factors::FactorValues;
 use super::motion::Setpoints;
+use super::noise::Noise;
 use super::placement::place_boxes;
 use super::scene::Scene;
 use harness_spec::{Pose, Simulation};
@@ -19,6 +20,8 @@ pub struct EpisodePlan {
     pub boxes: Vec<Pose>,
     /// Values of the factors of variation that the spec turns on.
     pub factors: FactorValues,
+    /// Noise of what is recorded.
+    pub(super) noise: Noise,
     setpoints: Setpoints,
 }
 
@@ -49,7 +52,8 @@ impl EpisodePlan {
             }
         };
         let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
-        Ok(Self { episode: index, boxes, factors, setpoints })
+        let noise = Noise::new(scene, spec, &factors, index);
+        Ok(Self { episode: index, boxes, factors, noise, setpoints })
     }
 
     /// Writes the setpoints of the actuators during a simulation step, counted from the episode's start, to `setpoint`.

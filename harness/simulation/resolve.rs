@@ -193,8 +193,11 @@ pub(super) struct SceneFactor {
     pub name: String,
     pub property: Property,
     pub drawing: Drawing,
-    /// Indices of the joints, bodies, geoms, lights or cameras of the model that it changes.
+    /// Indices of the joints, bodies, geoms, lights, cameras or actuators of the model that it changes, or the places
+    /// of modalities in the layout.
     pub things: Vec<usize>,
+    /// Their names.
+    pub names: Vec<String>,
     /// Whether each of them has its own values.
     pub each: bool,
     /// Names and units of the values that are drawn.
@@ -392,8 +395,8 @@ impl<'a> Resolver<'a> {
         let coded = sights.iter_mut().flat_map(|sight| &mut sight.coded).map(|coded| &mut coded.image);
         let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image)).chain(coded);
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
-        let (placements, factors) = (self.placements(&actuators)?, self.factors(&actuators)?);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
+        let (placements, factors) = (self.placements(&actuators)?, self.factors(&actuators, &definitions)?);
         self.check_columns(&factors, &definitions)?;
         let keyframe =
             file.keyframe.as_deref().map(|name| self.find(KEYFRAME, name, "keyframe")).transpose()?;
@@ -936,20 +939,26 @@ impl<'a> Resolver<'a> {
     }
 
     /// The factors of variation, which must be able to change something.
-    fn factors(&self, actuators: &[Driven]) -> Result<Vec<SceneFactor>, SimulationError> {
+    fn factors(
+        &self,
+        actuators: &[Driven],
+        modalities: &[Definition],
+    ) -> Result<Vec<SceneFactor>, SimulationError> {
         let mut factors = Vec::new();
         for (name, factor) in self.world.file().factors.iter() {
             let (property, patterns) = factor.property();
             let path = format!("factors.{name}.{property}");
-            let kind = kind_of(property);
-            let found = self.matches(kind, patterns, &path)?;
+            let (word, found) = match kind_of(property) {
+                Some(kind) => (kind.1, self.matches(kind, patterns, &path)?),
+                None => ("modality", self.measured(patterns, modalities, &path)?),
+            };
             for (thing, id) in &found {
-                if let Some(problem) = self.unchangeable(property, *id, actuators) {
-                    return Err(self.fault(&path, format!("{} '{thing}' {problem}", kind.1)));
+                if let Some(problem) = self.unchangeable(property, *id, actuators, modalities) {
+                    return Err(self.fault(&path, format!("{word} '{thing}' {problem}")));
                 }
             }
             let (names, things): (Vec<&str>, Vec<usize>) = found.into_iter().unzip();
-            let units: Vec<&str> = things.iter().map(|id| self.unit_of(property, *id)).collect();
+            let units: Vec<&str> = things.iter().map(|id| self.unit_of(property, *id, modalities)).collect();
             let elements = match factor.each {
                 true => {
                     let names = short_names(patterns, &names);
@@ -957,7 +966,7 @@ impl<'a> Resolver<'a> {
                     property.elements(name, &each)
                 }
                 false if units.iter().any(|unit| Some(unit) != units.first()) => {
-                    let message = format!("the {} values have different units; set each: true", kind.1);
+                    let message = format!("the values of each {word} have different units; set each: true");
                     return Err(self.fault(&path, message));
                 }
                 false => property.elements(name, &[(None, units.first().copied().unwrap_or("1"))]),
@@ -967,6 +976,7 @@ impl<'a> Resolver<'a> {
                 property,
                 drawing: factor.drawing(),
                 things,
+                names: names.into_iter().map(str::to_owned).collect(),
                 each: factor.each,
                 elements,
             });
@@ -1003,14 +1013,37 @@ impl<'a> Resolver<'a> {
         Ok(())
     }
 
-    /// Returns the unit of the values that a factor draws for an object.
-    fn unit_of(&self, property: Property, id: usize) -> &'static str {
-        let of_joint = || if self.model.jnt_type()[id] == SLIDE { "m" } else { "rad" };
-        property.unit().unwrap_or_else(of_joint)
+    /// Returns the names and the places of the modalities that match the patterns.
+    fn measured<'d>(
+        &self,
+        patterns: &[String],
+        modalities: &'d [Definition],
+        path: &str,
+    ) -> Result<Vec<(&'d str, usize)>, SimulationError> {
+        let names: Vec<&str> = modalities.iter().map(|definition| definition.name.name()).collect();
+        let found = matching(patterns, &names).map_err(|(pattern, problem)| {
+            self.fault(path, format!("'{pattern}' {problem} among the modalities {}", names.join(", ")))
+        })?;
+        Ok(found.into_iter().map(|place| (names[place], place)).collect())
     }
 
-    /// Returns why a factor can't change an object; `None` if it can.
-    fn unchangeable(&self, property: Property, id: usize, actuators: &[Driven]) -> Option<String> {
+    /// Returns the unit of the values that a factor draws for an object or a modality.
+    fn unit_of<'d>(&self, property: Property, id: usize, modalities: &'d [Definition]) -> &'d str {
+        property.unit().unwrap_or_else(|| match property {
+            Property::SensorNoise => modalities[id].unit().unwrap_or_default(),
+            _ if self.model.jnt_type()[id] == SLIDE => "m",
+            _ => "rad",
+        })
+    }
+
+    /// Returns why a factor can't change an object or a modality; `None` if it can.
+    fn unchangeable(
+        &self,
+        property: Property,
+        id: usize,
+        actuators: &[Driven],
+        modalities: &[Definition],
+    ) -> Option<String> {
         let model = self.model;
         let is_driven = |joint: usize| {
             let place = model.jnt_qposadr()[joint] as usize;
@@ -1038,6 +1071,7 @@ impl<'a> Resolver<'a> {
                         .into()
                 })
             }
+            Property::SensorNoise => unmeasured(&modalities[id], modalities).map(str::to_owned),
             Property::JointStart if !is_single(model, id) => {
                 Some("is a ball or free joint; only hinges and slides have a start that can be offset".into())
             }
@@ -1110,16 +1144,34 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// Returns the kind of the objects that have a property.
-pub(super) fn kind_of(property: Property) -> (MjtObjBase, &'static str) {
-    match property {
+/// Returns why a modality can't have noise; `None` if it can.
+fn unmeasured(definition: &Definition, modalities: &[Definition]) -> Option<&'static str> {
+    let is_kind = modalities.iter().any(|other| other.contact_kind() == Some(definition.name));
+    match definition {
+        _ if definition.name == Modality::SETPOINT => Some("is the action, which is not measured"),
+        _ if is_kind => Some("tells kinds of contact, which are no measured values"),
+        Definition { difference_of: Some(_), .. } => {
+            Some("is computed from another modality; name that one instead")
+        }
+        _ if definition.is_image() => Some("is an image; only vectors can have noise"),
+        _ if definition.unit().is_none() => {
+            Some("has values of different units; record those of each unit as a modality of their own")
+        }
+        _ => None,
+    }
+}
+
+/// Returns the kind of the model's objects that have a property; `None` if modalities have it.
+fn kind_of(property: Property) -> Option<(MjtObjBase, &'static str)> {
+    Some(match property {
         Property::JointStiffness | Property::JointDamping | Property::JointStart => JOINT,
         Property::BodyMass | Property::Gravity => BODY,
         Property::ActuatorStrength => ACTUATOR,
         Property::GeomFriction | Property::GeomSize | Property::GeomColour => GEOM,
         Property::LightBrightness => LIGHT,
         Property::CameraPosition | Property::CameraRotation => CAMERA,
-    }
+        Property::SensorNoise => return None,
+    })
 }
 
 /// What is sensed of a joint.

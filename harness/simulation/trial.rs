@@ -5,7 +5,7 @@ use super::SimulationError;
 use super::factors::{FactorValues, color_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{SceneFactor, dofs, kind_of};
+use super::resolve::{SceneFactor, dofs};
 use super::scene::Scene;
 use super::standing::can_touch;
 use harness_spec::{Property, Simulation, SpecError};
@@ -204,9 +204,9 @@ impl Scene {
 
     /// Returns the names of some of a factor's objects.
     fn names(&self, factor: &SceneFactor, things: &[usize]) -> String {
-        let (kind, _) = kind_of(factor.property);
-        let name = |thing: &usize| format!("'{}'", self.model.id_to_name(kind, *thing).unwrap_or_default());
-        let names: Vec<String> = things.iter().take(NAMES_SHOWN).map(name).collect();
+        let all = factor.things.iter().zip(&factor.names);
+        let named = all.filter(|(thing, _)| things.contains(thing)).map(|(_, name)| format!("'{name}'"));
+        let names: Vec<String> = named.take(NAMES_SHOWN).collect();
         match things.len() - names.len() {
             0 => names.join(", "),
             more => format!("{} and {more} more", names.join(", ")),
@@ -233,7 +233,7 @@ fn values(model: &MjModel, property: Property, thing: usize) -> Vec<f64> {
             [model.actuator_gainprm()[thing], model.actuator_biasprm()[thing]].concat()
         }
         Property::Gravity => model.opt().gravity.to_vec(),
-        Property::JointStart => Vec::new(),
+        Property::JointStart | Property::SensorNoise => Vec::new(),
     }
 }
 

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A factor of variation: exactly one of `joint_stiffness`, `joint_damping`, `body_mass`, `geom_friction`, `geom_size`,
-/// `geom_colour`, `light_brightness`, `camera_position`, `camera_rotation`, `actuator_strength`, `gravity` and
-/// `joint_start`, and its distribution.
+/// `geom_colour`, `light_brightness`, `camera_position`, `camera_rotation`, `actuator_strength`, `gravity`,
+/// `joint_start` and `sensor_noise`, and its distribution.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factor {
@@ -61,13 +61,18 @@ pub struct Factor {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub joint_start: Option<Vec<String>>,
+    /// Noise of modalities, by their names in this file: the standard deviation of normally distributed numbers. Each
+    /// recorded value of a vector gets a number of its own, at each sample anew.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub sensor_noise: Option<Vec<String>>,
     /// Distribution of the number by which the model's value is multiplied, for stiffness, damping, mass, friction,
     /// size, brightness, strength and gravity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub scale_by: Option<Distribution>,
     /// Distribution of the number that is added to the model's value, for each channel of a color, each axis of a
-    /// position or rotation, and the start of a joint.
+    /// position or rotation, and the start of a joint; or of the standard deviation of noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "distribution")]
     pub offset_by: Option<Distribution>,
@@ -151,6 +156,8 @@ pub enum Property {
     Gravity,
     /// Position of hinges and slides at the start, with an offset, rad or m.
     JointStart,
+    /// Standard deviation of the noise of modalities.
+    SensorNoise,
 }
 names!(Property {
     JointStiffness => "joint_stiffness",
@@ -165,6 +172,7 @@ names!(Property {
     ActuatorStrength => "actuator_strength",
     Gravity => "gravity",
     JointStart => "joint_start",
+    SensorNoise => "sensor_noise",
 });
 
 impl Property {
@@ -187,14 +195,14 @@ impl Property {
         match self {
             Self::CameraPosition => Some("m"),
             Self::CameraRotation => Some("rad"),
-            Self::JointStart => None,
+            Self::JointStart | Self::SensorNoise => None,
             _ => Some("1"),
         }
     }
 
     /// Returns whether the values are added to the model's own values. If not, they are multiplied.
     fn is_offset(self) -> bool {
-        !self.components().is_empty() || self == Self::JointStart
+        !self.components().is_empty() || !self.is_of_model()
     }
 
     /// Returns the value that changes nothing.
@@ -202,15 +210,16 @@ impl Property {
         if self.is_offset() { 0.0 } else { 1.0 }
     }
 
-    /// Returns whether the property is one of the compiled model, rather than of an episode's start.
+    /// Returns whether the property is one of the compiled model, rather than of an episode's start or its recording.
     pub fn is_of_model(self) -> bool {
-        self != Self::JointStart
+        !matches!(self, Self::JointStart | Self::SensorNoise)
     }
 
     /// Returns the lowest and the highest value that a distribution may have.
     fn bounds(self) -> [f64; 2] {
         match self {
             Self::GeomColour => [-1.0, 1.0],
+            Self::SensorNoise => [0.0, 1e6],
             Self::CameraPosition | Self::JointStart => [-1000.0, 1000.0],
             Self::CameraRotation => [-std::f64::consts::PI, std::f64::consts::PI],
             _ => [1e-3, 1e3],
@@ -253,6 +262,7 @@ impl Factor {
             (Property::ActuatorStrength, &self.actuator_strength),
             (Property::Gravity, &self.gravity),
             (Property::JointStart, &self.joint_start),
+            (Property::SensorNoise, &self.sensor_noise),
         ];
         patterns.into_iter().filter_map(|(property, patterns)| Some((property, patterns.as_deref()?)))
     }

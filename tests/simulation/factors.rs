@@ -504,7 +504,7 @@ fn joints_start_where_the_factor_puts_them_within_their_limits() {
         ),
         (
             format!("joint_start: [swing, cart], {uniform}"),
-            "the joint values have different units; set each: true",
+            "the values of each joint have different units; set each: true",
         ),
         (
             "joint_start: swing, scale_by: {uniform: [1, 2]}".into(),
@@ -516,4 +516,113 @@ fn joints_start_where_the_factor_puts_them_within_their_limits() {
     }
     let said = loose("joint_start: swing, offset_by: {choice: 0}", "").unwrap().warnings();
     assert!(said[0].to_string().contains("changes nothing for 'swing'"), "{said:?}");
+}
+
+fn noisy(factor: &str) -> Result<Scene, String> {
+    let text = format!(
+        "model: loose.xml\nstep_rate_hz: 500\nsample_rate_hz: 500\nmodalities:\n  \
+         angles: {{joint_positions: [swing, wheel]}}\n  true_angles: {{joint_positions: [swing, wheel]}}\n  \
+         all: {{joint_positions: [swing, cart]}}\n  push: {{normal_force: box, contact_kinds: {{box: box}}}}\n  \
+         view: {{camera: eye, size: [8, 8]}}\n  change: {{difference_of: angles}}\n\
+         action: {{actuators: {{turn: {{range: [-1, 1]}}}}}}\nfactors:\n  noise: {{{factor}}}\n"
+    );
+    let world =
+        World::parse("loose.yaml", Some("".into()), "loose", &text).map_err(|error| error.to_string())?;
+    let more = "<camera name=\"eye\" pos=\"0 -3 1\" xyaxes=\"1 0 0 0 0 1\"/><geom name=\"box\" size=\"0.1\"/>\
+                <body pos=\"0 0 1\">";
+    let xml = LOOSE.replacen("<body pos=\"0 0 1\">", more, 1);
+    Scene::from_xml(world.into(), &xml, "loose.xml".into()).map_err(|error| error.to_string())
+}
+
+fn of<'e>(episode: &'e Episode, name: &str) -> &'e [f32] {
+    episode.vector(Modality::new(name).unwrap())
+}
+
+#[test]
+fn noise_has_the_deviation_that_the_episode_drew() {
+    let scene: &'static Scene =
+        Box::leak(Box::new(noisy("sensor_noise: angles, offset_by: {uniform: [0.1, 0.2]}").unwrap()));
+    let spec = |factors: &[&str], moves: u32| {
+        let factors = factors.iter().map(|name| (*name).to_owned()).collect();
+        Simulation { actuations_per_episode: moves, factors, ..scene.world().simulation() }
+    };
+    assert!(scene.warnings().is_empty(), "{:?}", scene.warnings());
+    let mut deviations = Vec::new();
+    for index in 0..2 {
+        let episode = simulate(scene, &spec(&["noise"], 20), index);
+        let deviation = episode.vector(Modality::FACTORS)[0];
+        let element = &episode.layout[Modality::FACTORS].elements()[0];
+        assert_eq!((element.name.as_str(), element.unit.as_str()), ("noise", "rad"));
+        assert!((0.1..=0.2).contains(&deviation));
+        let noise: Vec<f64> = of(&episode, "angles")
+            .iter()
+            .zip(of(&episode, "true_angles"))
+            .map(|(noisy, own)| f64::from(noisy - own) / f64::from(deviation))
+            .collect();
+        assert_eq!(noise.len(), 20_000);
+        let mean = |of: &dyn Fn(f64) -> f64| noise.iter().map(|value| of(*value)).sum::<f64>() / 20_000.0;
+        // A standard normal distribution has the deviation 1, and 68.3 % within it.
+        assert!(mean(&|value| value).abs() < 0.03);
+        assert!((mean(&|value| value * value).sqrt() - 1.0).abs() < 0.03);
+        assert!((mean(&|value| f64::from(u8::from(value.abs() < 1.0))) - 0.683).abs() < 0.015);
+        // Neither the next sample nor the next element has the same noise.
+        for lag in [1, 2] {
+            let product = noise.windows(lag + 1).map(|pair| pair[0] * pair[lag]).sum::<f64>() / 20_000.0;
+            assert!(product.abs() < 0.03, "{product}");
+        }
+        // Everything else is as without noise.
+        let plain = simulate(scene, &spec(&[], 20), index);
+        for name in ["true_angles", "all", "push", "push_kind", "setpoint"] {
+            let modality = if name == "setpoint" { Modality::SETPOINT } else { Modality::new(name).unwrap() };
+            assert_eq!(episode.vector(modality), plain.vector(modality), "{name}");
+        }
+        assert_eq!(of(&plain, "angles"), of(&plain, "true_angles"));
+        deviations.push(deviation);
+    }
+    assert_ne!(deviations[0], deviations[1]);
+
+    let mut live = LiveSimulation::new(scene, &spec(&["noise"], 1)).unwrap();
+    for index in [1, 0] {
+        let episode = simulate(scene, &spec(&["noise"], 1), index);
+        live.reset(0, index).unwrap();
+        let mut recorded = live.new_episode();
+        for _ in 0..episode.samples {
+            live.record(&mut recorded).unwrap();
+            live.follow().unwrap();
+        }
+        assert!(recorded == episode, "{index}");
+    }
+}
+
+#[test]
+fn no_noise_changes_no_bit_and_only_vectors_have_some() {
+    let spec = Simulation { actuations_per_episode: 1, ..varied(&["noise"]) };
+    let zero = noisy("sensor_noise: [angles, push], offset_by: {choice: 0}, each: true").unwrap();
+    let (with, without) =
+        (simulate(&zero, &spec, 0), simulate(&zero, &Simulation { factors: vec![], ..spec.clone() }, 0));
+    let count = without.vectors.len();
+    assert!(with.vectors[..count] == without.vectors[..] && with.images[..count] == without.images[..]);
+    let elements = with.layout[Modality::FACTORS].elements();
+    let named: Vec<String> =
+        elements.iter().map(|element| format!("{} {}", element.name, element.unit)).collect();
+    assert_eq!(named, ["noise_angles rad", "noise_push N"]);
+    let said = zero.warnings();
+    assert!(said[0].to_string().contains("changes nothing for 'angles', 'push'"), "{said:?}");
+    for (modality, expected) in [
+        ("view", "modality 'view' is an image; only vectors can have noise"),
+        ("change", "modality 'change' is computed from another modality; name that one instead"),
+        ("push_kind", "modality 'push_kind' tells kinds of contact, which are no measured values"),
+        ("setpoint", "modality 'setpoint' is the action, which is not measured"),
+        ("all", "modality 'all' has values of different units; record those of each unit as a modality"),
+        ("touch", "'touch' matches nothing among the modalities angles, true_angles, all, push, push_kind"),
+        ("[angles, push]", "the values of each modality have different units; set each: true"),
+    ] {
+        let said = noisy(&format!("sensor_noise: {modality}, offset_by: {{uniform: [0, 1]}}")).unwrap_err();
+        assert!(said.starts_with("loose.yaml:13:") && said.contains(expected), "{said}");
+    }
+    let said = noisy("sensor_noise: push, offset_by: {uniform: [-1, 1]}").unwrap_err();
+    assert!(
+        said.contains("a factor of sensor_noise draws values from 0 to 1000000; found -1 to 1"),
+        "{said}"
+    );
 }
