@@ -26,6 +26,8 @@ mod integrators;
 mod parts;
 #[path = "simulation/placement.rs"]
 mod placement;
+#[path = "simulation/probing.rs"]
+mod probing;
 #[path = "simulation/sight.rs"]
 mod sight;
 

@@ -105,8 +105,7 @@ impl LiveSimulation {
     }
 
     fn advance_along_plan(&mut self) -> Result<(), SimulationError> {
-        let plan = &self.plan;
-        self.physics.advance(|step, setpoint| plan.setpoint(step, setpoint))
+        self.physics.follow(&self.plan)
     }
 
     /// Returns the settings of the simulation. The seed is that of the last reset.

@@ -1,5 +1,5 @@
 //! The motion of the actuators: smoothstep moves between random setpoints or those of a random walk, sinusoids, or a
-//! recorded course.
+//! recorded course. A probing motion is one of random setpoints whose clock depends on touch.
 
 use super::timing::Timing;
 use harness_spec::{Motion, Simulation};
@@ -13,6 +13,9 @@ const AMPLITUDE: [f64; 2] = [0.25, 0.5];
 /// The lowest and the highest frequency of a sinusoid, periods per move. With the highest one and the largest
 /// amplitude, a setpoint is at most as fast as in a move through the whole range.
 const FREQUENCY: [f64; 2] = [0.1, 0.45];
+
+/// How long the setpoint of a probing motion stays after a touch, as a part of a move.
+const HOLD: f64 = 0.2;
 
 /// The setpoint as a function of time.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,7 +60,7 @@ impl Setpoints {
             waves: Vec::new(),
         };
         match kind {
-            Motion::RandomSetpoints => {
+            Motion::RandomSetpoints | Motion::Probing => {
                 let random = (0..moves).flat_map(|_| ranges);
                 motion.waypoints.extend(random.map(|[low, high]| rng.random_range(*low..=*high)));
             }
@@ -106,6 +109,54 @@ impl Setpoints {
         let done = if self.eased { smoothstep(done) } else { done };
         for (value, (from, to)) in setpoint.iter_mut().zip(from.iter().zip(to)) {
             *value = from + done * (to - from);
+        }
+    }
+}
+
+/// The clock of a probing motion: the step of the motion whose setpoint is commanded. It stops at the first touch of
+/// each move, runs back to the begin of the move, and then goes on through the whole move.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Probe {
+    /// The step of the motion.
+    pub clock: usize,
+    phase: Phase,
+    steps_per_move: usize,
+    /// The first move whose touch still counts.
+    ready_from: usize,
+    /// Whether something was touched in the step before. Only what begins is a touch.
+    is_touching: bool,
+}
+
+/// What a probing motion does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Phase {
+    On,
+    /// Stays for this number of steps.
+    Hold(usize),
+    Back,
+}
+
+impl Probe {
+    /// Creates the clock at the start of an episode.
+    pub fn new(timing: &Timing) -> Self {
+        let steps_per_move = timing.steps_per_actuation;
+        Self { clock: 0, phase: Phase::On, steps_per_move, ready_from: 0, is_touching: true }
+    }
+
+    /// Advances the clock by a simulation step, in which something was touched or not.
+    pub fn advance(&mut self, is_touching: bool) {
+        let (begins, current) = (is_touching && !self.is_touching, self.clock / self.steps_per_move);
+        self.is_touching = is_touching;
+        match self.phase {
+            Phase::On if begins && current >= self.ready_from => {
+                self.ready_from = current + 1;
+                self.phase = Phase::Hold((HOLD * self.steps_per_move as f64).ceil() as usize);
+            }
+            Phase::On => self.clock += 1,
+            Phase::Hold(0) => self.phase = Phase::Back,
+            Phase::Hold(left) => self.phase = Phase::Hold(left - 1),
+            Phase::Back if self.clock.is_multiple_of(self.steps_per_move) => self.phase = Phase::On,
+            Phase::Back => self.clock -= 1,
         }
     }
 }
@@ -175,6 +226,34 @@ mod tests {
             }
         }
         assert_eq!(setpoint(100_000), setpoint(123_456));
+    }
+
+    /// A move has 1000 steps. The first touch of a move counts, if it begins during the move.
+    #[test]
+    fn a_probe_stops_at_a_touch_goes_back_and_then_through() {
+        let mut probe = Probe::new(&timing());
+        let mut clocks = Vec::new();
+        // Something is touched while the clock is in these steps.
+        let touched = |clock: usize| (300..500).contains(&clock) || (1900..2100).contains(&clock);
+        for _ in 0..6000 {
+            clocks.push(probe.clock);
+            probe.advance(touched(probe.clock));
+        }
+        assert!(clocks.windows(2).all(|pair| pair[0].abs_diff(pair[1]) <= 1));
+        let count = |clock: usize| clocks.iter().filter(|other| **other == clock).count();
+        // There, back, and there again: three times, and 200 steps of holding. Beyond the touch: once.
+        assert_eq!((count(299), count(301), count(999)), (3, 1, 1));
+        assert!((201..=206).contains(&count(300)), "{}", count(300));
+        // In the second move it goes back to 1000, and the touch at 2000 began in the move before.
+        assert_eq!((count(1500), count(1899), count(1901), count(2050)), (3, 3, 1, 1));
+        assert!((201..=206).contains(&count(1900)), "{}", count(1900));
+        // Each touch costs the way back and forth, and the stop.
+        let lost = 6000 - probe.clock;
+        assert!((2 * 300 + 2 * 900 + 400..=2 * 300 + 2 * 900 + 412).contains(&lost), "{lost}");
+
+        let mut touching = Probe::new(&timing());
+        (0..5000).for_each(|_| touching.advance(true));
+        assert_eq!(touching.clock, 5000, "what is touched from the start on is no touch");
     }
 
     #[test]

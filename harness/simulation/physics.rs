@@ -1,6 +1,7 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
+use super::motion::Probe;
 use super::noise::Noise;
 use super::placement::check_start;
 use super::plan::EpisodePlan;
@@ -34,6 +35,8 @@ pub(super) struct Physics<'s> {
     mean: MeanForces,
     /// Noise of the samples that follow.
     noise: Noise,
+    /// The clock of a probing motion; `None` for others.
+    probe: Option<Probe>,
     /// The episode that is simulated, for messages.
     episode: u32,
     /// Steps since its start.
@@ -166,6 +169,7 @@ impl<'s> Physics<'s> {
             forces: vec![0.0; scene.forces],
             mean: MeanForces::new(scene.forces),
             noise: Noise::default(),
+            probe: None,
             episode: 0,
             step: 0,
         })
@@ -178,15 +182,33 @@ impl<'s> Physics<'s> {
     pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_>) -> Result<(), SimulationError> {
         self.start(plan);
         for _ in 0..self.timing.samples {
-            self.advance(|step, setpoint| plan.setpoint(step, setpoint))?;
+            self.follow(plan)?;
             let (instant, data) = self.sampled();
             observe(instant, data)?;
         }
         Ok(())
     }
 
+    /// Simulates up to the next sampled instant along the plan of the episode.
+    ///
+    /// # Errors
+    /// When the simulation diverges.
+    pub fn follow(&mut self, plan: &EpisodePlan) -> Result<(), SimulationError> {
+        self.advance_by(|physics, setpoint| {
+            plan.setpoint(physics.probe.map_or(physics.step, |probe| probe.clock), setpoint);
+        })
+    }
+
+    /// Simulates up to the next sampled instant. `setpoint` writes the setpoint of each step, counted from the start.
+    ///
+    /// # Errors
+    /// When the simulation diverges.
+    pub fn advance(&mut self, setpoint: impl Fn(usize, &mut [f64])) -> Result<(), SimulationError> {
+        self.advance_by(|physics, values| setpoint(physics.step, values))
+    }
+
     /// Simulates up to the next sampled instant. The first one is the start of the episode. `setpoint` writes the
-    /// setpoint of each step, counted from the start.
+    /// setpoint of each step.
     ///
     /// MuJoCo's step computes the forces and poses of the instant at which it starts, and then advances the positions.
     /// A sample therefore takes its positions before a step and everything else after it, at no extra cost. With the
@@ -194,10 +216,12 @@ impl<'s> Physics<'s> {
     ///
     /// # Errors
     /// When the simulation diverges.
-    pub fn advance(&mut self, setpoint: impl Fn(usize, &mut [f64])) -> Result<(), SimulationError> {
+    fn advance_by(&mut self, setpoint: impl Fn(&Self, &mut [f64])) -> Result<(), SimulationError> {
         loop {
             let is_sample = self.step.is_multiple_of(self.timing.steps_per_sample);
-            setpoint(self.step, &mut self.setpoint);
+            let mut values = std::mem::take(&mut self.setpoint);
+            setpoint(self, &mut values);
+            self.setpoint = values;
             self.command();
             if is_sample {
                 std::mem::swap(&mut self.instant.state_before, &mut self.instant.state);
@@ -207,7 +231,7 @@ impl<'s> Physics<'s> {
                 }
                 self.instant.qvel.copy_from_slice(self.data.qvel());
             }
-            let is_read = is_sample || self.averages;
+            let is_read = is_sample || self.averages || self.probe.is_some();
             if let Some(sampled) = self.sampled.as_mut().filter(|_| is_read) {
                 self.data.copy_to(sampled).expect("both have the episode's model");
                 sampled.forward();
@@ -226,6 +250,10 @@ impl<'s> Physics<'s> {
             if is_read {
                 sum_forces(self.scene, data, &mut self.forces);
                 self.mean.add(&self.forces);
+            }
+            if let (Some(probe), Some(touch)) = (&mut self.probe, &self.scene.touch) {
+                let force: f64 = touch.forces.iter().map(|force| self.forces[*force]).sum();
+                probe.advance(force > touch.least_n);
             }
             if is_sample {
                 self.instant.setpoint.copy_from_slice(&self.setpoint);
@@ -267,6 +295,7 @@ impl<'s> Physics<'s> {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
         self.noise = plan.noise.clone();
+        self.probe = self.scene.touch.as_ref().map(|_| Probe::new(&self.timing));
         // Starts from the scene's own model, so that no change of the previous episode remains.
         self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
         for data in [&mut self.data].into_iter().chain(&mut self.sampled) {

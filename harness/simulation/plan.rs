@@ -57,6 +57,7 @@ impl EpisodePlan {
     }
 
     /// Writes the setpoints of the actuators during a simulation step, counted from the episode's start, to `setpoint`.
+    /// In a probing motion, which waits and goes back, the step is that of the motion and not of the simulation.
     pub fn setpoint(&self, step: usize, setpoint: &mut [f64]) {
         self.setpoints.setpoint(step, setpoint);
     }

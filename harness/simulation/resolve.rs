@@ -4,8 +4,8 @@ use super::SimulationError;
 use super::joints::is_single;
 use super::standing::FreeBody;
 use harness_spec::{
-    Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Ordered, Percentage, Posed, Property,
-    Segmentation, Source, World, clearance_setting, matching, range_setting,
+    Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Motion, Ordered, Percentage, Posed,
+    Property, Segmentation, Source, World, clearance_setting, matching, range_setting,
 };
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -23,6 +23,7 @@ pub(super) struct Resolved {
     pub force_of_geom: Vec<Option<usize>>,
     pub force_of_flex: Vec<Option<usize>>,
     pub forces: usize,
+    pub touch: Option<Touch>,
     pub contact_kinds: Vec<ContactKinds>,
     pub placements: Vec<Placement>,
     pub factors: Vec<SceneFactor>,
@@ -73,6 +74,18 @@ pub(super) struct ContactKinds {
     /// The largest value. The value 0 means no contact.
     pub last: usize,
 }
+
+/// What a probing motion feels.
+#[derive(Debug, Clone)]
+pub(super) struct Touch {
+    /// The indices of the forces that are added.
+    pub forces: Vec<usize>,
+    /// The sum from which something is touched, N.
+    pub least_n: f64,
+}
+
+/// The default of [`Touch::least_n`].
+const PROBE_FORCE_N: f64 = 1.0;
 
 /// A camera that is recorded.
 #[derive(Debug, Clone, Copy)]
@@ -395,6 +408,7 @@ impl<'a> Resolver<'a> {
         let coded = sights.iter_mut().flat_map(|sight| &mut sight.coded).map(|coded| &mut coded.image);
         let images = cameras.iter_mut().chain(flows.iter_mut().map(|flow| &mut flow.image)).chain(coded);
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
+        let touch = self.touch(&modalities);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
         let (placements, factors) = (self.placements(&actuators)?, self.factors(&actuators, &definitions)?);
         self.check_columns(&factors, &definitions)?;
@@ -412,6 +426,7 @@ impl<'a> Resolver<'a> {
             force_of_geom: self.force_of_geom,
             force_of_flex: self.force_of_flex,
             forces: self.forces,
+            touch,
             contact_kinds: self.contact_kinds,
             placements,
             factors,
@@ -419,6 +434,20 @@ impl<'a> Resolver<'a> {
             tip: self.tip,
             keyframe,
         })
+    }
+
+    /// Returns what a probing motion feels: the forces of the first modality that has some.
+    fn touch(&self, modalities: &[(Definition, Vec<Reading>)]) -> Option<Touch> {
+        let action = &self.world.file().action;
+        let force = |reading: &Reading| match reading {
+            Reading::Force(force) | Reading::MeanForce(force) => Some(*force),
+            _ => None,
+        };
+        let mut forces =
+            modalities.iter().map(|(_, readings)| readings.iter().filter_map(force).collect::<Vec<_>>());
+        let forces = forces.find(|forces| !forces.is_empty())?;
+        let is_probing = action.motion == Motion::Probing && action.course.is_none();
+        is_probing.then(|| Touch { forces, least_n: action.probe_force_n.unwrap_or(PROBE_FORCE_N) })
     }
 
     fn fault(&self, path: &str, message: impl Into<String>) -> SimulationError {

@@ -5,7 +5,7 @@ use super::load::{compile_error, load_file, load_text};
 use super::plugins::load_plugins;
 use super::resolve::{
     ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded, SceneFactor,
-    SceneFlow, SceneSight, Tip, within,
+    SceneFlow, SceneSight, Tip, Touch, within,
 };
 use super::standing::GroundModel;
 use super::timing::Timing;
@@ -45,6 +45,8 @@ pub struct Scene {
     pub(super) force_of_flex: Vec<Option<usize>>,
     /// Number of contact forces that are sensed.
     pub(super) forces: usize,
+    /// What a probing motion feels; `None` if the motion is another one.
+    pub(super) touch: Option<Touch>,
     /// Divisions of the contacts into kinds.
     pub(super) contact_kinds: Vec<ContactKinds>,
     pub(super) placements: Vec<Placement>,
@@ -178,6 +180,7 @@ impl Scene {
             force_of_geom: resolved.force_of_geom,
             force_of_flex: resolved.force_of_flex,
             forces: resolved.forces,
+            touch: resolved.touch,
             contact_kinds: resolved.contact_kinds,
             placements: resolved.placements,
             ground,

@@ -36,15 +36,13 @@ impl Scene {
             for index in 0..STARTS {
                 let plan = EpisodePlan::draw(self, &spec, index)?;
                 physics.start(&plan);
-                physics.advance(|step, setpoint| plan.setpoint(step, setpoint)).map_err(
-                    |error| match &error {
-                        SimulationError::Overlap { placement, .. } => {
-                            let path = format!("placement.{placement}.bodies");
-                            self.world().fault(&path, error.to_string()).into()
-                        }
-                        _ => error,
-                    },
-                )?;
+                physics.follow(&plan).map_err(|error| match &error {
+                    SimulationError::Overlap { placement, .. } => {
+                        let path = format!("placement.{placement}.bodies");
+                        self.world().fault(&path, error.to_string()).into()
+                    }
+                    _ => error,
+                })?;
             }
         }
         Ok(())
@@ -159,8 +157,8 @@ impl Scene {
             one.start(&own);
             other.start(&changed);
             for _ in 0..samples_each {
-                one.advance(|step, setpoint| own.setpoint(step, setpoint))?;
-                other.advance(|step, setpoint| changed.setpoint(step, setpoint))?;
+                one.follow(&own)?;
+                other.follow(&changed)?;
                 let (one, other) = (&one.instant, &other.instant);
                 if one.state != other.state || one.forces != other.forces || one.sensors != other.sensors {
                     return Ok(true);

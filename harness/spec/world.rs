@@ -271,6 +271,10 @@ pub struct Acting {
     // The default is not written, so that datasets from before this key keep their names.
     #[serde(default, skip_serializing_if = "Motion::is_default")]
     pub motion: Motion,
+    /// The summed force of the first `normal_force` from which a probing motion counts as a touch, N. The default is 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "force")]
+    pub probe_force_n: Option<f64>,
     /// Path of a CSV file with a recorded course, relative to this file's folder. It has a column for each element of
     /// the action and a row for each sample, and may have a column `episode`. It replaces the motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -294,6 +298,9 @@ pub enum Motion {
     /// A sinusoid within the range, with an amplitude of 25 to 50 % of the range and 0.1 to 0.45 periods in the
     /// duration of a move, both drawn uniformly. The setpoint reaches it smoothly during the first move.
     Sinusoids,
+    /// The moves of random setpoints, each interrupted by its first touch: the setpoint stops for 20 % of a move, goes
+    /// back to where the move began, and then makes the whole move. The world needs a `normal_force`.
+    Probing,
 }
 
 impl Motion {
@@ -443,6 +450,9 @@ mod plain {
             "type": "array", "minItems": 2, "maxItems": 2, "items": { "type": "number", "exclusiveMinimum": 0.0 },
         })
     }
+    pub fn force(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "number", "exclusiveMinimum": 0.0 })
+    }
     pub fn number(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number" })
     }
@@ -475,7 +485,7 @@ mod plain {
     }
 }
 use plain::{
-    averaged, axis, depths, groups, limit, number, percentage, rectangle, scale, sector, size, text,
+    averaged, axis, depths, force, groups, limit, number, percentage, rectangle, scale, sector, size, text,
 };
 
 /// The schema of a world file.
@@ -1000,6 +1010,7 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
             "a recorded course replaces the motion; leave one of them out".into(),
         ));
     }
+    probe(file).map_err(|(key, message)| (format!("action.{key}"), message.to_owned()))?;
     if file.action.actuators.is_empty() {
         return Err(("action.actuators".into(), "a world without actuators has no action".into()));
     }
@@ -1038,6 +1049,18 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
     for (name, colors) in file.regions.iter() {
         named("a region", name).map_err(|message| (format!("regions.{name}"), message))?;
         ascending(colors.red_minus_blue).map_err(|m| (format!("regions.{name}.red_minus_blue"), m))?;
+    }
+    Ok(())
+}
+
+/// Checks that a probing motion can feel something.
+fn probe(file: &WorldFile) -> Result<(), (&'static str, &'static str)> {
+    let is_probing = file.action.motion == Motion::Probing;
+    if file.action.probe_force_n.is_some() && !is_probing {
+        return Err(("probe_force_n", "only the motion 'probing' has a 'probe_force_n'"));
+    }
+    if is_probing && !file.modalities.iter().any(|(_, sensing)| sensing.normal_force.is_some()) {
+        return Err(("motion", "a probing motion needs a touch: add a modality with a 'normal_force'"));
     }
     Ok(())
 }
