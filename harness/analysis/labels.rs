@@ -82,11 +82,6 @@ impl Labels {
         Self { variants, values, constant, whole }
     }
 
-    /// Whether networks differ in their variant, and not because of a search.
-    pub fn has_variants(&self) -> bool {
-        self.variants.len() > 1 && !self.variants.keys().any(|variant| is_trial(variant))
-    }
-
     /// The name of a variant. That of a trial is the whole variant.
     pub fn variant(&self, variant: &str) -> Label {
         let own = varied(variant);

@@ -11,6 +11,7 @@
 //! - **A group's values** are those of its datasets and seeds. [`replicates`] says which values an interval is computed
 //!   from.
 
+mod comparison;
 mod interval;
 mod key;
 mod labels;
@@ -21,14 +22,16 @@ mod settings;
 mod skill;
 mod subset;
 
+pub use comparison::{Comparison, Part, Place, Side, Subject, printed, usual_key, whole_metrics};
 pub use harness_judge::models;
+pub use harness_metrics::{best, higher_is_better, label as metric_label};
 pub use interval::{
     Estimate, Interval, LEVEL, holm, interval, intervals, mean_interval, replicates, unpaired_replicates,
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
 pub use means::{Mean, Of, compare, replicates_of};
-pub use settings::{Difference, Setting, all_settings, differing, has_settings};
+pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
 pub use subset::Subset;
 
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};

@@ -1,7 +1,8 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
-use harness_registry::{RunRecord, leaves, quoted};
+use harness_registry::{Recorded, RunRecord, leaves, quoted};
 use harness_spec::{Layout, RunSpec, setting_value};
+use rayon::prelude::*;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -60,6 +61,16 @@ pub fn all_settings(record: &RunRecord) -> BTreeMap<String, String> {
     all.extend(texts(&serde_json::to_value(&record.provenance).unwrap_or_default()));
     all.remove("command");
     all
+}
+
+/// The settings in which some runs differ, with each run's value; `None` where a run does not have the setting.
+pub fn varied_settings(runs: &[Recorded]) -> BTreeMap<String, Vec<Option<String>>> {
+    let all: Vec<Settings> = runs.par_iter().map(|(_, record)| all_settings(record)).collect();
+    let keys: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    let values =
+        |key: &String| -> Vec<Option<String>> { all.iter().map(|run| run.get(key).cloned()).collect() };
+    let varied = keys.into_iter().map(|key| (key.clone(), values(key)));
+    varied.filter(|(_, values)| values.iter().any(|value| *value != values[0])).collect()
 }
 
 /// What differs between two runs, as (key, value of `a`, value of `b`): settings, dataset, code, versions and machine.

@@ -4,17 +4,20 @@ use super::DONE;
 use super::format::{Destination, Form};
 use super::plot::key;
 use super::results::BY_UNIT;
-use super::sheet::{Sheet, Style, best, rounded};
+use super::sheet::{Sheet, Style};
 use super::table::width;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use harness::analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, Setting, replicates_of};
-use harness::judge::models::{self, NETWORK};
-use harness::metrics::Metric;
+use harness::analysis::{
+    Analysis, Comparison, Interval, Key, Label, Labels, Mean, Place, Setting, Side, Subject, printed,
+    replicates_of, usual_key,
+};
+use harness::judge::models;
+use harness::metrics::{Metric, best};
 use harness::numbers::Natural;
 use harness::registry::Registry;
-use harness::spec::{Modality, Origin, Task, model_parts, variant_parts};
+use harness::spec::{Task, variant_parts};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
@@ -137,8 +140,9 @@ impl Compare {
             return Err(CompareError::Empty(registry.command(list)).into());
         }
         let labels = Labels::new(&analysis, &self.by);
-        let by = if self.by.is_empty() { vec![usual(&means, &labels)] } else { self.by };
-        let mut comparison = Comparison::new(&means, &by, &self.metrics, &labels);
+        let by = if self.by.is_empty() { vec![usual_key(&means)] } else { self.by };
+        let table = Comparison::new(&means, &by, &self.metrics, &labels);
+        let mut comparison = Printed::new(table, &self.metrics);
         if let Some(base) = &self.difference_from {
             if by.contains(&Key::Scenario) {
                 return Err(CompareError::Scenarios.into());
@@ -196,71 +200,21 @@ impl Compare {
     }
 }
 
-/// The key that distinguishes columns if none is given.
-fn usual(means: &[Mean], labels: &Labels) -> Key {
-    let experiments: BTreeSet<&str> = means.iter().map(|mean| mean.of.experiment.as_str()).collect();
-    let sizes: BTreeSet<usize> = means.iter().filter_map(|mean| mean.of.latent).collect();
-    if labels.has_variants() && experiments.len() == 1 && sizes.len() < 2 {
-        Key::Variant
-    } else {
-        Key::Latent
+/// The words of a row or a column for a text: each of the trials in `legend` has its number only, and there are spaces
+/// at which lines can be broken. In documents, the words are complete.
+fn styled(place: &Place, style: Style, legend: &BTreeMap<String, String>) -> Place {
+    if style != Style::Text {
+        return place.clone();
     }
-}
-
-/// The values of some keys for a row or a column; `None` for all other keys.
-#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
-struct Place {
-    experiment: Option<String>,
-    scenario: Option<Origin>,
-    latent: Option<usize>,
-    variant: Option<Label>,
-    values: Vec<(&'static str, Label)>,
-    settings: Option<Natural>,
-    horizon: Option<usize>,
-}
-
-impl Place {
-    fn of(of: &Of, labels: &Labels, has: impl Fn(Key) -> bool) -> Self {
-        let values = of.values.iter().filter(|(key, _)| has(Key::Setting(key)));
-        Self {
-            experiment: has(Key::Experiment).then(|| of.experiment.clone()),
-            scenario: has(Key::Scenario).then(|| of.scenario.clone()),
-            latent: of.latent.filter(|_| has(Key::Latent)),
-            variant: has(Key::Variant).then(|| labels.variant(&of.variant)),
-            values: values.map(|(key, value)| (*key, labels.value(key, value))).collect(),
-            settings: has(Key::Settings).then(|| Natural::new(&of.settings)),
-            horizon: of.horizon.filter(|_| has(Key::Horizon)),
-        }
-    }
-
-    /// A text for each key, empty if it has no value. In text, each of the trials in `legend` has its number only, and
-    /// there are spaces at which lines can be broken.
-    fn words(&self, style: Style, legend: &BTreeMap<String, String>) -> Vec<String> {
-        let scenario = self.scenario.as_ref().map(|scenario| scenario.name().to_owned());
-        let latent = self.latent.map(|latent| format!("latent {latent}"));
-        let mut variant = self.variant.as_ref().map(|label| label.text().to_owned());
-        let mut settings = self.settings.as_ref().map(|settings| settings.text().to_owned());
-        if style == Style::Text {
-            let short = |variant: String| match trial(&variant) {
-                Some((name, _)) => if legend.contains_key(&name) { name } else { variant }.replace(',', ", "),
-                None => variant,
-            };
-            variant = variant.map(short);
-            settings = settings.map(|settings| with_training(&settings));
-        }
-        let before = [self.experiment.clone(), scenario, latent, variant].map(Option::unwrap_or_default);
-        let values = self.values.iter().map(|(key, label)| with_key(key, label.text()));
-        let horizon = self.horizon.map(|horizon| format!("horizon {horizon}"));
-        before.into_iter().chain(values).chain([settings, horizon].map(Option::unwrap_or_default)).collect()
-    }
-}
-
-/// The value of a setting with the name of the setting, as in a variant: `hidden=64`. Modalities say that they are an
-/// input.
-fn with_key(key: &str, value: &str) -> String {
-    match key.split_once('.').map_or(key, |(_section, name)| name) {
-        "input" => value.to_owned(),
-        name => format!("{name}={value}"),
+    let short = |variant: &str| match trial(variant) {
+        Some((name, _)) if legend.contains_key(&name) => name.replace(',', ", "),
+        Some(_) => variant.replace(',', ", "),
+        None => variant.to_owned(),
+    };
+    Place {
+        variant: place.variant.as_ref().map(|label| Label::from(short(label.text()))),
+        settings: place.settings.as_ref().map(|settings| Natural::new(with_training(settings.text()))),
+        ..place.clone()
     }
 }
 
@@ -288,137 +242,41 @@ fn with_training(settings: &str) -> String {
     shown.map(word).collect::<Vec<_>>().join(", ")
 }
 
-/// A mean and half of its interval, as they are printed.
-fn printed(interval: &Interval, unit: &str) -> (String, Option<String>) {
-    let number = |value: f64| rounded(value, unit);
-    (number(interval.mean), interval.bounds.map(|(_, high)| number(high - interval.mean)))
+/// The heading of a column.
+fn named(side: &Side, style: Style, legend: &BTreeMap<String, String>) -> String {
+    Side { place: styled(&side.place, style, legend), ..side.clone() }.name()
 }
 
-/// A column of the table. Columns of the network come first, then those of each external model and each baseline.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-struct Side {
-    /// `None` for the network and external models.
-    baseline: Option<String>,
-    /// The name of an external model, if the variant does not distinguish columns.
-    model: Option<String>,
-    place: Place,
-}
-
-impl Side {
-    /// The column's heading. A network that no key distinguishes from the others is called the network.
-    fn name(&self, style: Style, legend: &BTreeMap<String, String>) -> String {
-        let baseline = self.baseline.as_ref().map(|name| name.replace('_', " "));
-        let model = baseline.or_else(|| self.model.clone());
-        let words = model.into_iter().chain(self.place.words(style, legend));
-        let words: Vec<String> = words.filter(|word| !word.is_empty()).collect();
-        if words.is_empty() { NETWORK.to_owned() } else { words.join(", ") }
-    }
-}
-
-/// A row of the table.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-struct Subject {
-    task: Task,
-    place: Place,
-    modality: Modality,
-    /// The unit of the elements, if the modality has elements of different units.
-    direction: Option<String>,
-    /// The position of the metric among the requested metrics.
-    metric: usize,
-}
-
-impl Subject {
-    /// The row of baselines that belongs to this one.
-    fn without_latent(&self) -> Self {
-        Self { place: Place { latent: None, ..self.place.clone() }, ..self.clone() }
-    }
-}
-
-/// The means of all rows and columns.
-struct Comparison<'a> {
+/// The table that the command prints.
+struct Printed<'a> {
+    table: Comparison<'a>,
     metrics: &'a [String],
-    units: BTreeMap<Subject, &'a str>,
-    values: BTreeMap<(Subject, Side), Cow<'a, Mean>>,
     /// The column from which the values of all other columns are differences, if they are.
     base: Option<Side>,
     notes: Vec<String>,
 }
 
-impl<'a> Comparison<'a> {
-    fn new(means: &'a [Mean], by: &[Key], metrics: &'a [String], labels: &Labels) -> Self {
-        // An external model is a column beside the networks on the same data.
-        let variants_are_rows = !by.contains(&Key::Variant);
-        let subject = |of: &Of| Subject {
-            task: of.task,
-            place: Place {
-                variant: variants_are_rows.then(|| labels.variant(model_parts(&of.variant).0)),
-                ..Place::of(of, labels, |key| !by.contains(&key))
-            },
-            modality: of.modality,
-            direction: of.direction.clone(),
-            metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
-        };
-        let side = |of: &Of| Side {
-            baseline: (of.model != NETWORK).then(|| of.model.clone()),
-            model: model_parts(&of.variant)
-                .1
-                .filter(|_| variants_are_rows && of.model == NETWORK)
-                .map(str::to_owned),
-            place: Place::of(of, labels, |key| by.contains(&key)),
-        };
-        let (units, values, base, notes) = Default::default();
-        let mut comparison = Self { metrics, units, values, base, notes };
-        let (networks, baselines): (Vec<&Mean>, Vec<&Mean>) =
-            means.iter().partition(|mean| mean.of.model == NETWORK);
-        let mut rows: BTreeMap<Subject, Vec<Subject>> = BTreeMap::new();
-        for mean in networks {
-            let subject = subject(&mean.of);
-            rows.entry(subject.without_latent()).or_default().push(subject.clone());
-            comparison.insert(subject, side(&mean.of), mean);
+impl<'a> Printed<'a> {
+    fn new(table: Comparison<'a>, metrics: &'a [String]) -> Self {
+        let mut printed = Self { table, metrics, base: None, notes: Vec::new() };
+        printed.notes.push(printed.replicates());
+        if printed.table.units.keys().any(|subject| subject.direction.is_some()) {
+            printed.notes.push(BY_UNIT.to_owned());
         }
-        // A baseline has no latent size, so it is in the rows of the networks of every size.
-        for mean in baselines {
-            let own = subject(&mean.of);
-            for subject in rows.get(&own).cloned().unwrap_or_else(|| vec![own]) {
-                comparison.insert(subject, side(&mean.of), mean);
-            }
-        }
-        comparison.merge_baselines();
-        comparison.notes.push(comparison.replicates());
-        if comparison.units.keys().any(|subject| subject.direction.is_some()) {
-            comparison.notes.push(BY_UNIT.to_owned());
-        }
-        comparison
+        printed
     }
 
-    fn insert(&mut self, subject: Subject, side: Side, mean: &'a Mean) {
-        self.units.insert(subject.clone(), &mean.unit);
-        self.values.insert((subject, side), Cow::Borrowed(mean));
-    }
-
-    /// Replaces the values of each column by their differences from those of the column with the heading `base`. The
-    /// columns of baselines are left out, because a baseline has no seed.
+    /// Replaces the values of each column by their differences from those of the column with the heading `base`.
     fn subtract(&mut self, base: &str) -> Result<(), CompareError> {
-        let of_networks = self.values.keys().map(|(_, side)| side).filter(|side| side.baseline.is_none());
-        let named: BTreeMap<&Side, String> =
-            of_networks.map(|side| (side, side.name(Style::Text, &BTreeMap::new()))).collect();
-        let Some((side, _)) = named.iter().find(|(_, name)| *name == base) else {
-            let columns = named.into_values().collect();
+        let sides = self.table.sides();
+        let of_networks = || sides.iter().filter(|side| side.baseline.is_none());
+        let name = |side: &Side| named(side, Style::Text, &BTreeMap::new());
+        let Some(side) = of_networks().find(|side| name(side) == base) else {
+            let columns = of_networks().map(|side| name(side)).collect();
             return Err(CompareError::Column { wanted: base.to_owned(), columns });
         };
         let side = (*side).clone();
-        let mut differences = BTreeMap::new();
-        for ((subject, own), mean) in &self.values {
-            let Some(of_base) = self.values.get(&(subject.clone(), side.clone())) else { continue };
-            let value =
-                if *own == side { Some(mean.clone()) } else { mean.difference_from(of_base).map(Cow::Owned) };
-            if let Some(value) = value.filter(|_| own.baseline.is_none()) {
-                differences.insert((subject.clone(), own.clone()), value);
-            }
-        }
-        let shown: BTreeSet<&Subject> = differences.keys().map(|(subject, _)| subject).collect();
-        self.units.retain(|subject, _| shown.contains(subject));
-        self.values = differences;
+        self.table.subtract(&side);
         self.base = Some(side);
         self.notes.push(format!(
             "the other columns have the differences from {base}, of runs with the same dataset and seed"
@@ -428,34 +286,14 @@ impl<'a> Comparison<'a> {
 
     /// The values of all rows and columns.
     fn means(self) -> Vec<Mean> {
-        self.values.into_values().map(Cow::into_owned).collect()
-    }
-
-    /// Makes one column of the columns of a baseline if they show the same numbers in every row.
-    fn merge_baselines(&mut self) {
-        let names: BTreeSet<String> =
-            self.values.keys().filter_map(|(_, side)| side.baseline.clone()).collect();
-        for name in names {
-            let is_own = |(_, side): &(Subject, Side)| side.baseline.as_ref() == Some(&name);
-            let mut rows: BTreeMap<&Subject, BTreeSet<(String, Option<String>)>> = BTreeMap::new();
-            for ((subject, _), mean) in self.values.iter().filter(|(key, _)| is_own(key)) {
-                rows.entry(subject).or_default().insert(printed(&mean.interval, &mean.unit));
-            }
-            if rows.values().all(|numbers| numbers.len() == 1) {
-                let side = Side { baseline: Some(name.clone()), model: None, place: Place::default() };
-                let (own, others): (Vec<_>, Vec<_>) =
-                    std::mem::take(&mut self.values).into_iter().partition(|(key, _)| is_own(key));
-                let own = own.into_iter().map(|((subject, _), mean)| ((subject, side.clone()), mean));
-                self.values = others.into_iter().chain(own).collect();
-            }
-        }
+        self.table.values.into_values().map(Cow::into_owned).collect()
     }
 
     fn sheet(&self, style: Style) -> Sheet {
-        let sides: BTreeSet<&Side> = self.values.keys().map(|(_, side)| side).collect();
+        let sides = self.table.sides();
         let legend = if style == Style::Text { self.trials() } else { BTreeMap::new() };
-        let header = sides.iter().map(|side| side.name(style, &legend));
-        let rows = self.units.iter().map(|(subject, unit)| {
+        let header = sides.iter().map(|side| named(side, style, &legend));
+        let rows = self.table.units.iter().map(|(subject, unit)| {
             (self.words(subject, unit, style, &legend), self.cells(subject, unit, &sides, style))
         });
         let rows: Vec<_> = rows.collect();
@@ -468,7 +306,7 @@ impl<'a> Comparison<'a> {
 
     /// The names of trials, and their settings. A name that trials with different settings have is left out.
     fn trials(&self) -> BTreeMap<String, String> {
-        let places = self.values.keys().flat_map(|(subject, side)| [&subject.place, &side.place]);
+        let places = self.table.values.keys().flat_map(|(subject, side)| [&subject.place, &side.place]);
         let mut trials: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
         for (name, settings) in places.filter_map(|place| trial(place.variant.as_ref()?.text())) {
             trials.entry(name).or_default().insert(settings);
@@ -490,17 +328,15 @@ impl<'a> Comparison<'a> {
     ) -> Vec<String> {
         let metric = &self.metrics[subject.metric];
         let mut words = vec![subject.task.name().to_owned()];
-        words.extend(subject.place.words(style, legend));
-        let part = subject.direction.iter().map(|direction| format!(" {direction}"));
-        let predicted = subject.modality.name().replace('_', " ") + &part.collect::<String>();
-        words.extend([predicted, style.metric(metric, unit)]);
+        words.extend(styled(&subject.place, style, legend).words());
+        words.extend([subject.predicted(), style.metric(metric, unit)]);
         words
     }
 
     /// The cells of a row: the mean and half of its interval, with the best mean marked. A missing mean is empty, and a
     /// difference has a sign.
     fn cells(&self, subject: &Subject, unit: &str, sides: &BTreeSet<&Side>, style: Style) -> Vec<String> {
-        let interval = |side: &&Side| Some(self.values.get(&(subject.clone(), (**side).clone()))?.interval);
+        let interval = |side: &&Side| Some(self.table.mean(subject, side)?.interval);
         let intervals: Vec<Option<Interval>> = sides.iter().map(interval).collect();
         let means =
             intervals.iter().map(|interval| Some(interval.as_ref()?.mean).filter(|_| self.base.is_none()));
@@ -517,8 +353,9 @@ impl<'a> Comparison<'a> {
 
     /// A note with the number of datasets and seeds of the means.
     fn replicates(&self) -> String {
-        let network = self.values.iter().filter(|((_, side), _)| side.baseline.is_none());
-        if self.values.keys().all(|(_, side)| side.baseline.is_some()) {
+        let values = &self.table.values;
+        let network = values.iter().filter(|((_, side), _)| side.baseline.is_none());
+        if values.keys().all(|(_, side)| side.baseline.is_some()) {
             return String::new();
         }
         match replicates_of(network.map(|(_, mean)| mean.as_ref())) {

@@ -1,12 +1,13 @@
 //! `harness diff`.
 
 use super::DONE;
-use super::sheet::{MISSING, Sheet, Style, best, rounded};
+use super::sheet::{MISSING, Sheet, Style};
 use super::table::{print_text, print_texts, width};
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::differing;
 use harness::catalog::{query_of, rows};
+use harness::metrics::{best, rounded};
 use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;
 use std::process::ExitCode;

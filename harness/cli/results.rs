@@ -1,12 +1,13 @@
 //! The results of some runs, for `harness run` and `harness show`: the metrics of the networks beside those of the
 //! baselines, and the best of some runs.
 
-use super::sheet::{MISSING, Sheet, Style, best, rounded};
+use super::sheet::{MISSING, Sheet, Style};
 use anyhow::Result;
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
+use harness::metrics::{best, rounded};
 use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;

@@ -2,7 +2,7 @@
 
 use super::latex::{escaped, line, tabular};
 use super::table::{Grid, HARD_SPACE, beside, fitted, unbroken};
-use harness::metrics::{Metric, label};
+use harness::metrics::{higher_is_better, label};
 use textwrap::core::display_width;
 
 /// A number that a run lacks.
@@ -44,41 +44,6 @@ impl Style {
             },
             Style::Markdown | Style::Latex => name,
         }
-    }
-}
-
-/// Whether higher values of the metric with this name are better; `None` for a user's metric, of which this is unknown.
-fn higher_is_better(metric: &str) -> Option<bool> {
-    Metric::named(metric).map(Metric::higher_is_better)
-}
-
-/// Whether each of some values of a metric is the best, as far as the printed digits show. None is if there are fewer
-/// than two to choose from, if all of them are printed alike, or for a user's metric.
-pub fn best(metric: &str, unit: &str, values: &[Option<f64>]) -> Vec<bool> {
-    let there = || values.iter().copied().flatten();
-    let best = match higher_is_better(metric) {
-        Some(true) => there().max_by(f64::total_cmp),
-        Some(false) => there().min_by(f64::total_cmp),
-        None => None,
-    };
-    let best = best.map(|value| rounded(value, unit));
-    let is_best = |value: f64| best.as_ref() == Some(&rounded(value, unit));
-    let has_worse = best.is_some() && !there().all(is_best);
-    values.iter().map(|value| has_worse && value.is_some_and(is_best)).collect()
-}
-
-/// A value of a metric, with the decimals that its unit needs.
-pub fn rounded(value: f64, unit: &str) -> String {
-    let decimals = match unit {
-        "%" => 2,
-        "1" => 3,
-        "samples" => 1,
-        _ => 4,
-    };
-    let number = format!("{value:.decimals$}");
-    match number.strip_prefix('-') {
-        Some(zero) if zero.chars().all(|digit| matches!(digit, '0' | '.')) => zero.to_owned(),
-        _ => number,
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! [`series`] has the formulas. [`Evaluation`] applies those that suit a modality to its joints, links or pixels.
 //! [`parts`] finds the pixels that show parts of the robot. [`baselines`] predicts without a network. [`contact`]
-//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`epoch`] is what training logs.
+//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`epoch`] is what training logs. `words`
+//! has names and values for people.
 //!
 //! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
 
@@ -13,10 +14,12 @@ mod error;
 pub mod parts;
 pub mod series;
 pub mod skill;
+mod words;
 
 pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use series::Series;
+pub use words::{best, higher_is_better, label, rounded};
 
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, intern};
 use rayon::prelude::*;
@@ -169,16 +172,6 @@ impl FromStr for Metric {
             )
         })
     }
-}
-
-/// The name of a metric for people, with the unit of the values.
-pub fn label(metric: &str, unit: &str) -> String {
-    let words = metric.split('_').map(|word| match word {
-        "smape" | "wmape" | "r2" | "rmse" | "mae" => word.to_uppercase(),
-        _ => word.to_owned(),
-    });
-    let name = words.collect::<Vec<_>>().join(" ");
-    if unit == "1" { name } else { format!("{name} ({unit})") }
 }
 
 /// One row of the metrics table.
