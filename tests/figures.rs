@@ -757,6 +757,33 @@ fn figures_of_any_robot_are_drawn_and_the_others_say_why() {
 }
 
 #[test]
+fn figures_of_an_ablation_show_the_data_or_one_variant() {
+    let (results, _) = &*crate::report::ABLATION_PAGE;
+    let out = fresh("figures_ablation");
+    let arguments = ["figures", "--experiment", "ablation", "--output", out.to_str().unwrap()];
+    let answer = finish(&mut harness(results, &arguments));
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let svg = |figure: Figure| String::from_utf8(read(&out, figure, "svg")).unwrap();
+    for (figure, is_of_one) in [
+        (Figure::PredictiveArch, true),
+        (Figure::ForcesDataset, false),
+        (Figure::PredictionResults, false),
+        (Figure::PropriovisionToVision, true),
+        (Figure::Regression, true),
+    ] {
+        let svg = svg(figure);
+        assert_whole(&svg, figure.name());
+        let remark = "only the first of 3 variants: joints";
+        assert_eq!(svg.contains(remark), is_of_one, "{}", figure.name());
+    }
+    // The inputs are beside each other, in the order of the spec.
+    let names = ["joints", "camera_0 + joints", "camera_0"];
+    let drawn = svg(Figure::PredictionResults);
+    let places = names.map(|name| drawn.find(&format!("aria-label=\"{name}\"")).unwrap());
+    assert!(places.is_sorted(), "{places:?}");
+}
+
+#[test]
 fn one_seed_has_no_bars_and_other_settings_are_refused() {
     let results = fresh("figures_seeds");
     let draw = |name: &str, more: &[&str]| {

@@ -87,6 +87,20 @@ fn baselines_are_plotted_beside_the_networks() {
 }
 
 #[test]
+fn only_points_along_numbers_are_connected() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plot.svg").display().to_string();
+    let dashes = |x: &str, facet: &str| {
+        let asked = ["plot", "smoke", "--x", x, "--facet", facet, "--y", "r2", "--by", "modality"];
+        succeed(&RESULTS, &[&asked[..], &["--models", "network,persistence", "--output", &path]].concat());
+        std::fs::read_to_string(&path).unwrap().matches("stroke-dasharray").count()
+    };
+    // The dashed lines of persistence, in two panels and in the legend.
+    assert_eq!(dashes("latent", "scenario"), 2 * (2 + 1));
+    assert_eq!(dashes("scenario", "latent"), 0);
+}
+
+#[test]
 fn panels_by_task_show_both_tasks() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();

@@ -543,22 +543,139 @@ const PENDULUM: &str = r#"<mujoco><option timestep="0.005"/>
       <geom name="rod" type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".2" rgba=".8 .4 .2 1"/></body></body>
   </worldbody><actuator><position name="push" joint="slide" kp="200" ctrlrange="-.4 .4"/></actuator></mujoco>"#;
 
-/// Runs in a world with a pendulum, and the page of all results.
-pub static PENDULUM_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
-    let results = folder("report_pendulum");
+/// Runs in a world with a pendulum, and the page of all results. `settings` are those of the spec that differ.
+fn pendulum_page(name: &str, settings: &str) -> (PathBuf, String) {
+    let results = folder(&format!("report_{name}"));
     let path = |name: &str| results.join(name).display().to_string();
     fs::write(path("pendulum.xml"), PENDULUM).unwrap();
     succeed(&results, &["world", "new", &path("pendulum.xml")]);
-    let spec = "name: pendulum\nscenarios: [pendulum.yaml]\ninput: [joints, camera_0]\n\
-                output: [joints, contact_force, camera_0_difference]\nlatent: [2, 4]\nseeds: [0, 1]\n\
-                network: {preset: multi_to_multi, hidden: [8], channels: [2]}\n\
-                simulation: {episodes: 4, actuations_per_episode: 2}\ntasks: [prediction]\n\
-                training: {epochs: 2, batch_size: 16}\n";
+    let spec = format!(
+        "name: {name}\nscenarios: [pendulum.yaml]\ninput: [joints, camera_0]\n\
+         output: [joints, contact_force, camera_0_difference]\nseeds: [0, 1]\n{settings}\n\
+         network: {{preset: multi_to_multi, hidden: [8], channels: [2]}}\n\
+         simulation: {{episodes: 4, actuations_per_episode: 2}}\ntasks: [prediction]\n\
+         training: {{epochs: 2, batch_size: 16}}\n"
+    );
     fs::write(path("spec.yaml"), spec).unwrap();
     succeed(&results, &["run", &path("spec.yaml")]);
     let page = page(&results, "report.html", &[]);
     (results, page)
+}
+
+/// Runs in a world with a pendulum, and the page of all results.
+pub static PENDULUM_PAGE: LazyLock<(PathBuf, String)> =
+    LazyLock::new(|| pendulum_page("pendulum", "latent: [2, 4]"));
+
+/// Runs of three inputs in the world with a pendulum, and the page of all results.
+pub static ABLATION_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
+    pendulum_page("ablation", "latent: 2\nvary: {input: [[joints], [joints, camera_0], [camera_0]]}")
 });
+
+/// Runs of the rope of docs/which-sense-matters.md with little data, and the page of all results.
+pub static ROPE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
+    let results = folder("report_rope");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/which-sense-matters.md");
+    let text = fs::read_to_string(page).unwrap();
+    for block in text.split("<!-- file: ").skip(1) {
+        let (name, rest) = block.split_once(" -->").unwrap();
+        let content = between(rest, "\n```", "\n```").split_once('\n').unwrap().1;
+        let path = results.join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, content).unwrap();
+    }
+    let spec = results.join("rope/senses.yaml");
+    let little = ["simulation.episodes=6", "training.epochs=2", "seeds=[0,1]"];
+    succeed(&results, &[&["run", spec.to_str().unwrap()][..], &little].concat());
+    let page = self::page(&results, "report.html", &[]);
+    (results, page)
+});
+
+/// The inputs of [`ABLATION_PAGE`] in the order of the spec, as variants and as their short names.
+const INPUTS: [(&str, &str); 3] = [
+    ("input=joints", "joints"),
+    ("input=joints+camera_0", "camera_0 + joints"),
+    ("input=camera_0", "camera_0"),
+];
+
+#[test]
+fn an_ablation_has_one_table_of_metrics_as_compare() {
+    let (results, page) = &*ABLATION_PAGE;
+    assert!(!between(page, "<main>", "</main>").contains("class=\"absent\""), "nothing is missing");
+    assert_eq!(page.matches("<table class=\"facts numbers\">").count(), 1);
+    let table = between(page, "<section id=\"metrics\">", "</section>");
+    let columns: Vec<&str> = between(table, "<th scope=\"col\">metric</th>", "</tr>")
+        .split("<th scope=\"col\">")
+        .skip(1)
+        .map(|column| column.strip_suffix("</th>").unwrap())
+        .collect();
+    // Persistence and the training mean need no input, and ridge regression has another one for each input.
+    let expected = INPUTS.map(|(_, name)| name).into_iter().chain(["persistence"]);
+    assert_eq!(columns[..4], expected.collect::<Vec<_>>());
+    let ridge: BTreeSet<&str> = columns.iter().filter_map(|name| name.strip_prefix("ridge, ")).collect();
+    assert_eq!(ridge, INPUTS.map(|(_, name)| name).into());
+    assert_eq!(columns.last(), Some(&"training mean"));
+
+    let file = results.join("means.json");
+    let metrics = ["compare", "ablation", "--metrics", "r2,rmse,mae,relative_error"];
+    succeed(results, &[&metrics[..], &["--output", file.to_str().unwrap()]].concat());
+    let means: Vec<Value> = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+    let mut compared = 0;
+    for mean in means.iter().filter(|mean| mean["model"] == "network") {
+        let text = |key: &str| mean[key].as_str().unwrap_or_default();
+        let modality = format!("{} {}", text("modality").replace('_', " "), text("direction"));
+        let label = harness::metrics::label(text("metric"), text("unit"));
+        let row = format!("<th scope=\"row\">{}</th><td>{} ", modality.trim_end(), escaped(&label));
+        let cells: Vec<String> = between(table, &row, "</tr>")
+            .split("<td>")
+            .skip(1)
+            .map(|cell| cell.replace("<b>", "").replace("</b>", ""))
+            .collect();
+        let column = INPUTS.iter().position(|(variant, _)| *variant == text("variant")).unwrap();
+        let value = harness::numbers::rounded(mean["mean"].as_f64().unwrap());
+        assert!(cells[column].starts_with(&value), "{mean}: {cells:?}");
+        compared += 1;
+    }
+    // Three metrics of the joints in each of two units, of the forces and of the image, for three inputs. Of forces that
+    // are all zero, no R2 is defined.
+    assert!(compared >= 3 * (3 * 2 + 2 + 3), "{compared}");
+}
+
+#[test]
+fn each_variant_of_an_ablation_has_charts_and_images() {
+    let (_, page) = &*ABLATION_PAGE;
+    let data = data(page);
+    let names: BTreeSet<String> = INPUTS.map(|(_, name)| name.to_owned()).into();
+    for part in ["joints", "regression", "course"] {
+        assert_eq!(experiments_in(&data, part, "input"), names, "{part}");
+        assert_eq!(experiments_in(&data, part, "study").len(), names.len(), "{part}");
+    }
+    let images = between(page, "<section id=\"images\">", "</section>");
+    for name in &names {
+        assert!(images.contains(&format!("<span class=\"aside\">{name}, pendulum, prediction")), "{images}");
+    }
+}
+
+#[test]
+fn a_page_shows_six_variants_and_says_how_many_there_are() {
+    let (results, _) = &*ABLATION_PAGE;
+    let copy = folder("report_variants");
+    let path = |name: &str| results.join(name).display().to_string();
+    let vary = "vary={network.hidden: [[2], [3], [4], [5], [6], [7], [8]]}";
+    succeed(&copy, &["run", &path("spec.yaml"), "name=many", vary, "seeds=[0]"]);
+    let page = page_without_pictures(&copy, "report.html", &["many"]);
+    let header = unescaped(between(&page, "<header>", "</header>"));
+    let said = "Charts and images show the first 6 of the 7 variants of many; `--where 'variant=…'` chooses others, \
+                and the tables of metrics have all.";
+    assert!(header.contains(said), "{header}");
+    assert_eq!(experiments_in(&data(&page), "joints", "input").len(), 6);
+    assert!(page.contains("<th scope=\"col\">hidden=8</th>"));
+    let chosen = page_without_pictures(&copy, "chosen.html", &["many", "--where", "variant=hidden=8"]);
+    assert!(!chosen.contains("Charts and images show"));
+    assert_eq!(
+        experiments_in(&data(&chosen), "joints", "input"),
+        ["from camera 0 + joints".to_owned()].into()
+    );
+}
 
 #[test]
 fn a_page_about_another_robot_has_every_part_and_no_finger() {
@@ -904,6 +1021,13 @@ fn only_what_a_page_itself_asks_for_is_noticed_in_chromium() {
 fn a_reader_can_use_the_page_in_chromium() {
     let _ = &*PAGE;
     read_page(&RESULTS.join("report.html"), &RESULTS, &[]);
+}
+
+#[test]
+fn pages_of_other_robots_can_be_read_in_chromium() {
+    for (results, _) in [&*PENDULUM_PAGE, &*ABLATION_PAGE, &*ROPE_PAGE] {
+        read_page(&results.join("report.html"), results, &["--robot"]);
+    }
 }
 
 #[test]

@@ -237,8 +237,19 @@ pub struct Look {
     pub mark: Mark,
     /// Whether its points are hollow.
     pub hollow: bool,
-    /// Whether its line is dashed.
-    pub dashed: bool,
+    /// The line through its points.
+    pub line: Line,
+}
+
+/// The line through the points of a series.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Line {
+    /// A solid line.
+    Solid,
+    /// A dashed line.
+    Dashed,
+    /// None, because what is between the points has no meaning.
+    None,
 }
 
 /// The color of a scenario.
@@ -254,7 +265,8 @@ pub fn color_of(scenario: Scenario) -> &'static str {
 pub fn look_of(color: &'static str, direction: Direction) -> Look {
     let lateral = direction == Direction::ADDUCTION_ABDUCTION;
     let mark = if lateral { Mark::Square } else { Mark::Disc };
-    Look { color, mark, hollow: lateral, dashed: lateral }
+    let line = if lateral { Line::Dashed } else { Line::Solid };
+    Look { color, mark, hollow: lateral, line }
 }
 
 /// A direction's name for people.
@@ -279,11 +291,13 @@ impl Look {
         page.mark(self.mark, [x, scale.at(scale.clamp(value.mean))], 2.0, self.color, self.hollow);
     }
 
-    /// Draws the series' line through the points, if there are at least two.
+    /// Draws the series' line through the points, if it has one and there are at least two points.
     pub fn path(&self, page: &mut Page, points: &[Point]) {
         let stroke = Stroke::new(self.color, 0.9);
-        if points.len() > 1 {
-            page.path(points, if self.dashed { stroke.dashed() } else { stroke });
+        match self.line {
+            Line::Solid if points.len() > 1 => page.path(points, stroke),
+            Line::Dashed if points.len() > 1 => page.path(points, stroke.dashed()),
+            _ => {}
         }
     }
 }
@@ -321,6 +335,12 @@ pub fn remarks(page: &mut Page, y: f64, lines: impl IntoIterator<Item = impl AsR
     for (row, line) in lines.into_iter().enumerate() {
         remark(page, line.as_ref(), [COLUMN / 2.0, y + 8.5 * row as f64]);
     }
+}
+
+/// Makes the page higher by a line, and writes a remark there.
+pub fn remark_below(page: &mut Page, text: &str) {
+    let bottom = page.grow(8.5);
+    remark(page, text, [page.width() / 2.0, bottom + 4.0]);
 }
 
 /// A mean with two decimals and, if it has an interval, half of the interval's width: `0.91 ± 0.02`.

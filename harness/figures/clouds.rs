@@ -1,7 +1,7 @@
 //! Figure of predictions over references for any robot: a row of panels for each vector that is predicted, and a panel
 //! for each latent size.
 
-use super::axes::{Look, Panel, Scale, legend, mean_words, remarks};
+use super::axes::{Line, Look, Panel, Scale, legend, mean_words, remarks};
 use super::page::{COLUMN, GRAY, GREEN, Mark, Page, Stroke, Type, WINE};
 use super::source::{Runs, integers, reals, replicated, texts};
 use super::{Drawing, FigureError};
@@ -24,8 +24,8 @@ const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / PANELS as f64;
 const ROW: f64 = SIDE + 58.0;
 /// The looks of the elements of a panel.
 pub(super) const LOOKS: [Look; 2] = [
-    Look { color: GREEN, mark: Mark::Disc, hollow: false, dashed: false },
-    Look { color: WINE, mark: Mark::Square, hollow: false, dashed: false },
+    Look { color: GREEN, mark: Mark::Disc, hollow: false, line: Line::Solid },
+    Look { color: WINE, mark: Mark::Square, hollow: false, line: Line::Solid },
 ];
 
 /// Values by latent size and element.

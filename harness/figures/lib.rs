@@ -29,7 +29,7 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::{Analysis, Mixed};
+use harness_analysis::{Analysis, Key, Labels, Mixed, usual_key};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
@@ -328,7 +328,7 @@ impl Figure {
 
 impl Figure {
     /// Draws what the figure shows for an experiment of any robot. `modality` is that of [`Figure::Horizon`]; see
-    /// [`Source::showing`].
+    /// [`Source::showing`]. A figure that can't show several variants shows the first one, and says so.
     ///
     /// # Errors
     /// When the figure shows only the paper's robot, when the experiment's runs have nothing for it
@@ -339,8 +339,23 @@ impl Figure {
         experiment: &str,
         modality: Option<String>,
     ) -> Result<Drawing, FigureError> {
-        let source = Source::new(analysis, source::Experiments::all_of(experiment)).showing(modality);
-        let runs = || source.runs_of(experiment);
+        let variants = source::variants(analysis, experiment);
+        let first = variants.first().filter(|_| variants.len() > 1);
+        let experiments = source::Experiments::all_of(experiment);
+        let source = Source::new(analysis, experiments).showing(modality).only(first.cloned());
+        let runs = || source.runs_of(experiment, first.map(String::as_str));
+        let remark = first.map(|first| {
+            let label = Labels::new(analysis, &[]).variant(first);
+            format!("only the first of {} variants: {}", variants.len(), label.text())
+        });
+        let with_remark = |drawing: Drawing| drawing.with_remark(remark.as_deref());
+        let over_latent = |task| {
+            let plot = Plot::over(usual_key(&analysis.means()?), task);
+            match first.filter(|_| plot.x == Key::Latent) {
+                None => plot.draw(analysis),
+                Some(first) => plot.draw_where(analysis, |of| of.variant == *first).map(with_remark),
+            }
+        };
         match self {
             Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {
                 shows: "the paper's scene",
@@ -350,19 +365,31 @@ impl Figure {
                 shows: "the readings of the paper",
                 instead: "`harness compare` shows the settings in which runs differ",
             }),
-            Figure::PredictiveArch => predictive_arch::render(&source),
-            Figure::InformationLossArch => information_loss_arch::render(&source),
-            Figure::ForcesDataset => forces_dataset::render_of(&runs()?),
-            Figure::PredictionResults => Plot::over_latent(Task::Prediction).draw(analysis),
-            Figure::PropriovisionToVision => propriovision_to_vision::render_of(&runs()?),
-            Figure::ReconstructionPerformance => Plot::over_latent(Task::Reconstruction).draw(analysis),
-            Figure::Regression => clouds::render(&runs()?),
+            Figure::PredictiveArch => predictive_arch::render(&source).map(with_remark),
+            Figure::InformationLossArch => information_loss_arch::render(&source).map(with_remark),
+            Figure::ForcesDataset => {
+                let runs = source.runs_for_data(experiment)?;
+                let drawing = forces_dataset::render_of(&runs)?;
+                Ok(if runs.variant.is_some() { with_remark(drawing) } else { drawing })
+            }
+            Figure::PredictionResults => over_latent(Task::Prediction),
+            Figure::PropriovisionToVision => propriovision_to_vision::render_of(&runs()?).map(with_remark),
+            Figure::ReconstructionPerformance => over_latent(Task::Reconstruction),
+            Figure::Regression => clouds::render(&runs()?).map(with_remark),
             Figure::Horizon => horizon::render(&source),
         }
     }
 }
 
 impl Drawing {
+    /// The same with a remark below everything else, if there is one.
+    fn with_remark(mut self, remark: Option<&str>) -> Self {
+        if let Some(remark) = remark {
+            axes::remark_below(&mut self.page, &plot::plain(remark));
+        }
+        self
+    }
+
     /// Writes `<folder>/<name>.<format>` for each format.
     ///
     /// # Errors

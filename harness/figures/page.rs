@@ -172,6 +172,12 @@ impl Page {
         self.width
     }
 
+    /// Makes the page higher by this many points, and returns the height that it had.
+    pub(crate) fn grow(&mut self, points: f64) -> f64 {
+        self.height += points;
+        self.height - points
+    }
+
     fn put(&mut self, element: std::fmt::Arguments) {
         // Writing to a string can't fail.
         let _ = self.body.write_fmt(element);

@@ -1,7 +1,7 @@
 //! A plot of a metric over a setting, for any runs: one series for each value of other settings, in one or several
 //! panels.
 
-use super::axes::{Look, Panel, Scale, legend, remarks};
+use super::axes::{Line, Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
 use harness_analysis::models::{NETWORK, PERSISTENCE};
@@ -20,7 +20,7 @@ const BELOW: f64 = 38.0;
 const COLORS: [&str; 6] = [BLUE, VERMILION, GREEN, WINE, BLACK, GRAY];
 /// The points of networks, by turns.
 const MARKS: [Mark; 2] = [Mark::Disc, Mark::Square];
-/// The points of baselines, which have dashed lines.
+/// The points of baselines, whose lines are dashed.
 const BASELINE_MARKS: [Mark; 3] = [Mark::Diamond, Mark::Triangle, Mark::Cross];
 /// The most series that can be told apart.
 pub(super) const MOST_SERIES: usize = 2 * COLORS.len();
@@ -75,11 +75,11 @@ pub(super) struct Spot<'a> {
 }
 
 impl Plot {
-    /// The plot of R² over the latent size, by modality, with a panel for each scenario. Beside the networks, it shows
+    /// The plot of R² over a key, by modality, with a panel for each scenario. Beside the networks, it shows
     /// persistence alone, so that six modalities have room.
-    pub(crate) fn over_latent(task: Task) -> Self {
+    pub(crate) fn over(x: Key, task: Task) -> Self {
         Self {
-            x: Key::Latent,
+            x,
             y: Metric::R2.name().to_owned(),
             by: vec![Key::Modality],
             facet: Some(Key::Scenario),
@@ -95,7 +95,19 @@ impl Plot {
     /// When no run has the metric, when the means differ in a key that the plot does not show, or when there are too
     /// many series or panels.
     pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
-        let shown = |of: &Of| self.models.contains(&of.model) && self.has_task(of.task);
+        self.draw_where(analysis, |_| true)
+    }
+
+    /// Draws those means of an analysis that are wanted.
+    ///
+    /// # Errors
+    /// Like [`draw`](Self::draw).
+    pub(crate) fn draw_where(
+        &self,
+        analysis: &Analysis,
+        is_wanted: impl Fn(&Of) -> bool,
+    ) -> Result<Drawing, FigureError> {
+        let shown = |of: &Of| self.models.contains(&of.model) && self.has_task(of.task) && is_wanted(of);
         let keys: Vec<Key> = [self.x].into_iter().chain(self.by.iter().copied()).chain(self.facet).collect();
         let means = match self.y == Metric::SkillHorizon.name() {
             true => analysis.skill_horizons_by(&keys)?,
@@ -196,9 +208,22 @@ impl Plot {
             let mark = BASELINE_MARKS[mark.unwrap_or_default() % BASELINE_MARKS.len()];
             let model = model.replace('_', " ");
             let name = if by.is_empty() { model } else { format!("{}, {model}", words(&by)) };
-            series.push(Series { name, look: Look { color, mark, hollow: true, dashed: true }, spots });
+            series.push(Series { name, look: Look { color, mark, hollow: true, line: Line::Dashed }, spots });
+        }
+        if !self.is_ordered(slots) {
+            series.iter_mut().for_each(|one| one.look.line = Line::None);
         }
         series
+    }
+
+    /// Whether there is something between the values along the horizontal axis, so that a line through the points has a
+    /// meaning: they are numbers, and not categories.
+    fn is_ordered(&self, slots: &Values) -> bool {
+        match self.x {
+            Key::Latent | Key::Horizon => true,
+            Key::Setting(_) => slots.iter().all(|value| value.text().parse::<f64>().is_ok()),
+            _ => false,
+        }
     }
 
     fn draw_means(&self, means: &[Mean], labels: &Labels) -> Result<Drawing, FigureError> {
@@ -427,7 +452,7 @@ fn look(place: usize) -> Look {
         color: COLORS[place % COLORS.len()],
         mark: MARKS[place % MARKS.len()],
         hollow: is_second,
-        dashed: is_second,
+        line: if is_second { Line::Dashed } else { Line::Solid },
     }
 }
 

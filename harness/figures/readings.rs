@@ -1,6 +1,6 @@
 //! Figure of the gain by vision under each reading of the paper: a specification curve.
 
-use super::axes::{Look, Panel, Scale, color_of, remark};
+use super::axes::{Line, Look, Panel, Scale, color_of, remark};
 use super::page::{BLACK, COLUMN, GRAY, Mark, PALE, Page, Stroke, Type};
 use super::source::{Source, Study, integers, reals, texts};
 use super::{Drawing, FigureError};
@@ -59,7 +59,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
             for (gain, x) in own.iter().zip(&slots) {
                 let decided = gain.value.bounds.is_some_and(|(low, high)| low > 0.0 || high < 0.0);
                 let look =
-                    Look { color: color_of(scenario), mark: Mark::Disc, hollow: !decided, dashed: false };
+                    Look { color: color_of(scenario), mark: Mark::Disc, hollow: !decided, line: Line::None };
                 look.point(&mut page, *x, &scale, &gain.value);
             }
             choices(&mut page, &panel, &readings, &own, &slots, column == 0);

@@ -1,8 +1,8 @@
 //! The runs of the paper's experiments and their tables, from which figures are drawn.
 
 use super::FigureError;
-use harness_analysis::{Analysis, Run};
-use harness_spec::{Layout, Modality, QUICK};
+use harness_analysis::{Analysis, Labels, Run};
+use harness_spec::{Layout, Modality, Origin, QUICK};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -98,6 +98,8 @@ pub struct Source<'a> {
     pub(super) analysis: &'a Analysis,
     pub(super) experiments: Experiments,
     pub(super) modality: Option<String>,
+    /// The variant of the runs that are drawn; `None` for all runs.
+    pub(super) variant: Option<String>,
 }
 
 /// The runs of a study. They differ only in scenario, latent size and seed.
@@ -105,15 +107,25 @@ pub struct Runs<'a> {
     analysis: &'a Analysis,
     /// The experiment's name.
     pub experiment: String,
+    /// The variant of the runs, if they were selected by it.
+    pub(super) variant: Option<String>,
     /// The runs, sorted by scenario, latent size and seed.
-    pub all: &'a [Run],
+    pub all: Vec<&'a Run>,
+}
+
+/// The variants of the runs of an experiment, in the order of its spec. There is one if the experiment varies nothing.
+pub fn variants(analysis: &Analysis, experiment: &str) -> Vec<String> {
+    let labels = Labels::new(analysis, &[]);
+    let own = analysis.runs(experiment).iter().map(|run| run.record.spec.variant.as_str());
+    let variants: BTreeSet<_> = own.map(|variant| (labels.variant(variant), variant)).collect();
+    variants.into_iter().map(|(_, variant)| variant.to_owned()).collect()
 }
 
 impl<'a> Source<'a> {
     /// A source of figures. The analysis must have all runs of `experiments` on simulated data, and no other runs of
     /// these experiments.
     pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
-        Self { analysis, experiments, modality: None }
+        Self { analysis, experiments, modality: None, variant: None }
     }
 
     /// The same source, from which the figure over the horizon shows this modality, or its elements with one unit
@@ -122,27 +134,61 @@ impl<'a> Source<'a> {
         Self { modality, ..self }
     }
 
+    /// The same source, from which only runs of this variant are drawn. `None` for all runs.
+    pub(crate) fn only(self, variant: Option<String>) -> Self {
+        Self { variant, ..self }
+    }
+
     /// The runs of a study.
     ///
     /// # Errors
     /// When the study has no runs; the message names the command that makes them, if there is one. Also when the runs
     /// can't be shown in one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
-        self.runs_of(self.experiments.of(study))
+        self.runs_of(self.experiments.of(study), self.variant.as_deref())
     }
 
-    /// The runs of an experiment.
+    /// The runs of an experiment, or only those of a variant.
     ///
     /// # Errors
     /// Like [`runs`](Self::runs).
-    pub fn runs_of(&self, experiment: &str) -> Result<Runs<'a>, FigureError> {
+    pub fn runs_of(&self, experiment: &str, variant: Option<&str>) -> Result<Runs<'a>, FigureError> {
+        let runs = self.selected(experiment, variant)?;
+        match variant {
+            None => self.analysis.check_uniform(experiment, false)?,
+            Some(_) => self.analysis.check_alike(&runs.all)?,
+        }
+        Ok(runs)
+    }
+
+    /// The runs of an experiment, for what describes only their data. If several datasets of a scenario have the same
+    /// seed, they are those of the variant that is drawn.
+    ///
+    /// # Errors
+    /// Like [`runs`](Self::runs).
+    pub(crate) fn runs_for_data(&self, experiment: &str) -> Result<Runs<'a>, FigureError> {
+        let runs = self.selected(experiment, None)?;
+        let mut datasets: BTreeMap<(&Origin, u64), &str> = BTreeMap::new();
+        let is_the_only_one = |run: &&'a Run| {
+            let (spec, dataset) = (&run.record.spec, run.record.dataset.as_str());
+            *datasets.entry((&spec.scenario, spec.dataset_seed())).or_insert(dataset) == dataset
+        };
+        if runs.all.iter().all(is_the_only_one) {
+            return Ok(runs);
+        }
+        self.runs_of(experiment, self.variant.as_deref())
+    }
+
+    /// The runs of an experiment, or only those of a variant.
+    fn selected(&self, experiment: &str, variant: Option<&str>) -> Result<Runs<'a>, FigureError> {
         let analysis = self.analysis;
-        let all = analysis.runs(experiment);
+        let is_chosen = |run: &&Run| variant.is_none_or(|variant| run.record.spec.variant == variant);
+        let all: Vec<&Run> = analysis.runs(experiment).iter().filter(is_chosen).collect();
         if all.is_empty() {
             return Err(no_runs(analysis, experiment));
         }
-        analysis.check_uniform(experiment, false)?;
-        Ok(Runs { analysis, experiment: experiment.to_owned(), all })
+        let (experiment, variant) = (experiment.to_owned(), variant.map(str::to_owned));
+        Ok(Runs { analysis, experiment, variant, all })
     }
 
     /// The rows of a query over the runs of all readings of the paper.
@@ -199,7 +245,12 @@ impl<'a> Runs<'a> {
     /// # Errors
     /// When the query can't be answered, or has no rows.
     pub fn query(&self, sql: &str) -> Result<DataFrame, FigureError> {
-        self.answered(self.analysis.query(&[&self.experiment], sql)?)
+        // The tables of whole experiments are read once for several queries.
+        let is_whole = self.all.len() == self.analysis.runs(&self.experiment).len();
+        self.answered(match is_whole {
+            true => self.analysis.query(&[&self.experiment], sql)?,
+            false => self.analysis.query_runs(self.all.iter().copied(), sql)?,
+        })
     }
 
     /// The rows of a query over one run per cell: the run with the lowest seed on the first dataset. Figures of single
@@ -208,7 +259,7 @@ impl<'a> Runs<'a> {
     /// # Errors
     /// When the query can't be answered, or has no rows.
     pub fn query_first_seeds(&self, sql: &str) -> Result<DataFrame, FigureError> {
-        let mut first: Vec<&Run> = self.all.iter().collect();
+        let mut first = self.all.clone();
         first.sort_by_key(|run| {
             (run.record.spec.cell(), run.record.spec.dataset_seed(), run.record.spec.seed)
         });
@@ -250,7 +301,7 @@ impl<'a> Runs<'a> {
     /// `3 to 5 seeds` of one dataset. `None` if no cell has an interval.
     pub fn replicates(&self) -> Option<String> {
         let mut cells: BTreeMap<String, BTreeMap<u64, usize>> = BTreeMap::new();
-        for run in self.all {
+        for run in &self.all {
             let spec = &run.record.spec;
             *cells.entry(spec.cell()).or_default().entry(spec.dataset_seed()).or_default() += 1;
         }

@@ -20,7 +20,8 @@ const SIDE: u32 = 128;
 /// The images of a modality in a scenario: the references, and the predictions of each latent size.
 #[derive(Serialize)]
 pub struct Images {
-    experiment: String,
+    /// Whose networks they are, in words; empty if the page has only one subject.
+    subject: String,
     scenario: String,
     task: Task,
     modality: String,
@@ -64,7 +65,8 @@ pub fn images(
     subjects: &[Subject],
     asked: &Asked,
 ) -> Result<(Vec<Images>, BTreeSet<Absent>), FigureError> {
-    of_each(source, subjects, asked, |runs, subject| match of_subject(runs, subject) {
+    let is_alone = subjects.len() < 2;
+    of_each(source, subjects, asked, |runs, subject| match of_subject(runs, subject, is_alone) {
         Err(error) if error.has_nothing_to_draw() => Ok(Vec::new()),
         outcome => outcome,
     })
@@ -76,7 +78,7 @@ type Sample = ((u32, u32), Pictures);
 /// The pictures of a sample: its reference, and the predictions by latent size.
 type Pictures = (String, BTreeMap<Option<u64>, String>);
 
-fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Images>, FigureError> {
+fn of_subject(runs: &Runs, subject: &Subject, is_alone: bool) -> Result<Vec<Images>, FigureError> {
     let answer = runs.query_first_seeds(
         "select task, modality, scenario, latent, episode, sample, reference, predicted from frames \
          order by motion, episode, sample, latent",
@@ -107,7 +109,7 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Images>, FigureError
         let [height, width] = size(runs, &of)?;
         let definition = runs.all.iter().find_map(|run| run.record.layout.get(modality))?;
         Some(Images {
-            experiment: subject.name.clone(),
+            subject: if is_alone { String::new() } else { subject.words.clone() },
             scenario: of.scenario.to_string(),
             task,
             modality: modality.name().replace('_', " "),

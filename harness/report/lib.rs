@@ -322,7 +322,7 @@ pub fn page(
     let quick = asked.is_quick();
     let analysis = asked.analysis(registry, &claims, readings)?;
     let roles = subjects::roles(&analysis, asked);
-    let subjects = subjects::subjects(&analysis, asked, &roles);
+    let (subjects, too_many) = subjects::subjects(&analysis, asked, &roles);
     let scenarios = subjects::scenarios(&analysis, asked);
     let source = Source::new(&analysis, roles);
     let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
@@ -360,7 +360,13 @@ pub fn page(
         smoke: registry.command("run smoke"),
         done: experiments.iter().map(|experiment| experiment.done).sum(),
         commands,
-        remarks: analysis.notes().iter().chain(&verdicts.mixed).map(|text| sentence(text)).collect(),
+        remarks: analysis
+            .notes()
+            .iter()
+            .chain(&verdicts.mixed)
+            .chain(&too_many)
+            .map(|text| sentence(text))
+            .collect(),
         has: Has {
             scenes: !clips.is_empty(),
             joints: !data.joints.is_empty(),

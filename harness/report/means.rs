@@ -1,15 +1,15 @@
 //! Puts the metrics of networks beside those of the baselines.
 
 use super::{Asked, ReportError};
-use harness_analysis::models::NETWORK;
-use harness_analysis::{Analysis, Mean, Of, replicates_of};
+use harness_analysis::{Analysis, Comparison, Labels, Mean, Part, Side, Subject, usual_key};
 use harness_metrics::{Metric, label};
 use harness_shared::numbers::rounded;
-use harness_spec::Task;
+use harness_spec::{Origin, Task};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The metrics of the networks of one cell, for each latent size, and those of the baselines.
+/// The metrics of an experiment's networks in a scenario, and those of the baselines. Columns are variants if there are
+/// several and one latent size, and otherwise latent sizes.
 #[derive(Serialize)]
 pub struct Table {
     experiment: String,
@@ -34,9 +34,6 @@ struct Row {
     values: Vec<Option<(String, bool)>>,
 }
 
-/// A column: the networks of a latent size, an external model, or a baseline. The networks come first.
-type Column = (bool, String, Option<usize>);
-
 /// Returns the tables of the asked experiments; none on the page of all results.
 ///
 /// # Errors
@@ -45,20 +42,19 @@ pub fn tables(analysis: &Analysis, asked: &Asked) -> Result<Vec<Table>, ReportEr
     if asked.experiments.is_empty() {
         return Ok(Vec::new());
     }
-    let means = analysis.means()?;
-    let mut cells: BTreeMap<_, Vec<&Mean>> = BTreeMap::new();
-    for mean in means.iter().filter(|mean| is_general(&mean.of.metric)) {
-        let of = &mean.of;
-        let place = asked.experiments.iter().position(|name| *name == of.experiment);
-        let settings = [of.variant.as_str(), of.settings.as_str()].map(|text| text.replace(',', ", "));
-        let settings: Vec<String> = settings.into_iter().filter(|text| !text.is_empty()).collect();
-        let key = (place, of.task, of.scenario.clone(), settings.join(", "));
-        cells.entry(key).or_default().push(mean);
+    let mut by_experiment: BTreeMap<_, Vec<Mean>> = BTreeMap::new();
+    for mean in analysis.means()?.into_iter().filter(|mean| is_general(&mean.of.metric)) {
+        let place = asked.experiments.iter().position(|name| *name == mean.of.experiment);
+        by_experiment.entry(place).or_default().push(mean);
     }
-    let table = |((_, task, scenario, settings), means): (_, Vec<&Mean>)| {
-        Table::new(task, String::from(scenario), settings, &means)
-    };
-    Ok(cells.into_iter().map(table).collect())
+    let metrics = Metric::GENERAL.map(|metric| metric.name().to_owned());
+    let labels = Labels::new(analysis, &[]);
+    let tables = by_experiment.into_values().flat_map(|means| {
+        let comparison = Comparison::new(&means, &[usual_key(&means)], &metrics, &labels);
+        let parts = comparison.parts().into_iter();
+        parts.map(|part| table(&means[0].of.experiment, part, &comparison)).collect::<Vec<_>>()
+    });
+    Ok(tables.collect())
 }
 
 /// Whether a metric is of all pixels, links or joints, and not only of a region or a kind of contact.
@@ -66,47 +62,35 @@ fn is_general(metric: &str) -> bool {
     Metric::GENERAL.iter().any(|general| general.name() == metric)
 }
 
-impl Table {
-    fn new(task: Task, scenario: String, settings: String, means: &[&Mean]) -> Self {
-        let column = |of: &Of| -> Column { (of.model != NETWORK, of.model.clone(), of.latent) };
-        let columns: BTreeSet<Column> = means.iter().map(|mean| column(&mean.of)).collect();
-        let mut rows: BTreeMap<_, BTreeMap<Column, &Mean>> = BTreeMap::new();
-        for &mean in means {
-            let of = &mean.of;
-            let place = Metric::GENERAL.iter().position(|metric| metric.name() == of.metric);
-            let row = (of.modality, of.direction.clone(), place, of.metric.clone());
-            rows.entry(row).or_default().insert(column(of), mean);
-        }
-        let rows = rows.into_values().map(|values| Row::new(&columns, &values));
-        Self {
-            experiment: means[0].of.experiment.clone(),
-            scenario,
-            settings,
-            task,
-            rows: rows.collect(),
-            columns: columns.iter().map(name).collect(),
-            over: replicates_of(means.iter().copied().filter(|mean| mean.of.model == NETWORK)),
-        }
+/// A table of an experiment.
+fn table(experiment: &str, part: Part, comparison: &Comparison) -> Table {
+    Table {
+        experiment: experiment.to_owned(),
+        scenario: part.scenario.map(Origin::to_string).unwrap_or_default(),
+        settings: part.settings,
+        task: part.task,
+        rows: part.rows.iter().map(|subject| Row::new(subject, &part.columns, comparison)).collect(),
+        over: part.over,
+        columns: part.columns.into_iter().map(name).collect(),
     }
 }
 
-/// The name of a column: `network, z = 4`, or that of a baseline.
-fn name((_, model, latent): &Column) -> String {
-    let model = model.replace('_', " ");
-    match latent {
-        Some(latent) => format!("{model}, z = {latent}"),
-        None => model,
+/// The name of a column: `network, z = 4`, a variant, or a baseline.
+fn name(side: &Side) -> String {
+    match side.place.latent {
+        Some(latent) => format!("network, z = {latent}"),
+        None => side.name(),
     }
 }
 
 impl Row {
-    fn new(columns: &BTreeSet<Column>, values: &BTreeMap<Column, &Mean>) -> Self {
-        let first = values.values().next().expect("a row has a value");
-        let (metric, unit) = (first.of.metric.as_str(), first.unit.as_str());
-        let is_up = Metric::named(metric).is_some_and(Metric::higher_is_better);
+    fn new(subject: &Subject, columns: &BTreeSet<&Side>, comparison: &Comparison) -> Self {
+        let values: BTreeMap<&Side, &Mean> = comparison.row(subject).collect();
+        let (metric, unit) = (Metric::GENERAL[subject.metric], comparison.units[subject]);
+        let is_up = metric.higher_is_better();
         let means = || values.values().map(|mean| mean.interval.mean);
         let best = if is_up { means().fold(f64::MIN, f64::max) } else { means().fold(f64::MAX, f64::min) };
-        let words = |column: &Column| {
+        let words = |column: &&Side| {
             let interval = &values.get(column)?.interval;
             let half = interval.bounds.filter(|(low, high)| low < high).map(|(low, high)| (high - low) / 2.0);
             let half = half.map(|half| format!(" ± {}", rounded(half))).unwrap_or_default();
@@ -115,8 +99,8 @@ impl Row {
             Some((format!("{}{half}", rounded(interval.mean)), is_best))
         };
         Self {
-            modality: first.of.predicted().replace('_', " "),
-            metric: label(metric, unit),
+            modality: subject.predicted(),
+            metric: label(metric.name(), unit),
             better: if is_up { "↑" } else { "↓" },
             values: columns.iter().map(words).collect(),
         }

@@ -1,18 +1,23 @@
-//! The experiments whose predictions the page compares by joint and link.
+//! The experiments, and the variants of each, whose predictions the page compares by joint and link.
 
 use super::{Absent, Asked, Part, part};
-use harness_analysis::{Analysis, Run};
+use harness_analysis::{Analysis, Labels, Run};
 use harness_figures::FigureError;
-use harness_figures::source::{Experiments, Runs, Source, Study, input_words};
+use harness_figures::source::{Experiments, Runs, Source, Study, input_words, variants};
 use harness_metrics::Direction;
 use harness_spec::{Definition, Modality, Origin, Scenario};
 use std::collections::BTreeSet;
 
-/// An experiment whose predictions are shown.
+/// The most variants of an experiment whose predictions are shown.
+const MOST_VARIANTS: usize = 6;
+
+/// An experiment, or one of its variants, whose predictions are shown.
 pub struct Subject {
-    /// The name of the study or experiment in the page's data.
+    /// The name in the page's data, which no other subject has.
     pub name: String,
     experiment: String,
+    /// The variant of the runs; `None` for all runs of the experiment.
+    variant: Option<String>,
     /// What tells its networks from those of the other subjects, in words.
     pub words: String,
     /// The vectors whose predictions are shown.
@@ -40,31 +45,67 @@ pub fn roles(analysis: &Analysis, asked: &Asked) -> Experiments {
     Experiments { single_to_multi, multi_to_multi, ..paper }
 }
 
-/// The experiments whose predictions are shown: the asked ones with all their vectors, or the paper's two with joint
-/// angles and contact forces.
-pub fn subjects(analysis: &Analysis, asked: &Asked, roles: &Experiments) -> Vec<Subject> {
-    let named: Vec<(&str, &str)> = match asked.experiments.is_empty() {
-        true => Study::BOTH.map(|study| (study.name(), roles.of(study))).into(),
-        false => asked.experiments.iter().map(|name| (name.as_str(), name.as_str())).collect(),
-    };
-    let words = |experiment: &str| match analysis.runs(experiment) {
-        [run, ..] if asked.experiments.len() < 2 => input_words(&run.record.spec.input),
-        _ => experiment.to_owned(),
-    };
-    let modalities = |experiment: &str| match asked.experiments.is_empty() {
-        true => BTreeSet::from([Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE]),
-        false => analysis.runs(experiment).iter().flat_map(vectors).collect(),
-    };
-    // The paper's parts compare finger with finger.
-    let is_shown = |experiment: &str| !asked.experiments.is_empty() || has_finger(analysis, experiment);
-    let shown = named.into_iter().filter(|(_, experiment)| is_shown(experiment));
-    let subject = |(name, experiment): (&str, &str)| Subject {
-        name: name.to_owned(),
-        experiment: experiment.to_owned(),
-        words: words(experiment),
-        modalities: modalities(experiment),
-    };
-    shown.map(subject).collect()
+/// What is shown: the asked experiments with all their vectors, each variant by itself, or the paper's two with joint
+/// angles and contact forces. The second value has a remark for each experiment with too many variants.
+pub fn subjects(analysis: &Analysis, asked: &Asked, roles: &Experiments) -> (Vec<Subject>, Vec<String>) {
+    if asked.experiments.is_empty() {
+        // The paper's parts compare finger with finger.
+        let own = Study::BOTH.map(|study| (study.name(), roles.of(study))).into_iter();
+        let own = own.filter(|(_, experiment)| has_finger(analysis, experiment));
+        let subject = |(name, experiment): (&str, &str)| Subject {
+            name: name.to_owned(),
+            experiment: experiment.to_owned(),
+            variant: None,
+            words: analysis.runs(experiment).first().map_or_else(|| experiment.to_owned(), of_input),
+            modalities: BTreeSet::from([Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE]),
+        };
+        return (own.map(subject).collect(), Vec::new());
+    }
+    let (mut subjects, mut remarks) = (Vec::new(), Vec::new());
+    for experiment in &asked.experiments {
+        let variants = variants(analysis, experiment);
+        if variants.len() > MOST_VARIANTS {
+            remarks.push(format!(
+                "charts and images show the first {MOST_VARIANTS} of the {} variants of {experiment}; `--where \
+                 'variant=…'` chooses others, and the tables of metrics have all",
+                variants.len()
+            ));
+        }
+        match variants.len() {
+            0 | 1 => subjects.push(Subject::of(analysis, asked, experiment, None)),
+            _ => subjects.extend(
+                variants
+                    .into_iter()
+                    .take(MOST_VARIANTS)
+                    .map(|variant| Subject::of(analysis, asked, experiment, Some(variant))),
+            ),
+        }
+    }
+    (subjects, remarks)
+}
+
+impl Subject {
+    /// An asked experiment, or one of its variants.
+    fn of(analysis: &Analysis, asked: &Asked, experiment: &str, variant: Option<String>) -> Self {
+        let is_own = |run: &&Run| variant.as_ref().is_none_or(|variant| run.record.spec.variant == *variant);
+        let runs = || analysis.runs(experiment).iter().filter(is_own);
+        let label = variant.as_ref().map(|variant| Labels::new(analysis, &[]).variant(variant));
+        let own = label.map(|label| label.text().to_owned()).filter(|label| !label.is_empty());
+        let words = match (own, asked.experiments.len()) {
+            (Some(own), 1) => own,
+            (Some(own), _) => format!("{experiment}, {own}"),
+            (None, 1) => runs().next().map_or_else(|| experiment.to_owned(), of_input),
+            (None, _) => experiment.to_owned(),
+        };
+        let name = variant.iter().fold(experiment.to_owned(), |name, variant| format!("{name} {variant}"));
+        let modalities = runs().flat_map(vectors).collect();
+        Self { name, experiment: experiment.to_owned(), words, modalities, variant }
+    }
+}
+
+/// The inputs of a run's network, in words.
+fn of_input(run: &Run) -> String {
+    input_words(&run.record.spec.input)
 }
 
 /// The vectors that a run predicts.
@@ -120,7 +161,8 @@ pub fn of_each<T>(
 ) -> Result<(Vec<T>, BTreeSet<Absent>), FigureError> {
     let (mut all, mut absent) = (Vec::new(), BTreeSet::new());
     for subject in subjects {
-        let found = source.runs_of(&subject.experiment).and_then(|runs| of_subject(&runs, subject));
+        let runs = source.runs_of(&subject.experiment, subject.variant.as_deref());
+        let found = runs.and_then(|runs| of_subject(&runs, subject));
         match part(found, asked)? {
             Part::There(more) => all.extend(more),
             Part::Absent(reason) => drop(absent.insert(reason)),
