@@ -38,6 +38,7 @@ mod serve;
 mod sql;
 mod suggestions;
 mod tables;
+mod tags;
 mod terminal;
 mod value;
 mod worlds;
