@@ -1,7 +1,7 @@
 //! `harness serve`: the page works in a real browser, follows running trainings, and answers no other site.
 
-use crate::common::{SMOKE, finish, fresh, harness, in_chromium, smoke_run, succeed};
-use crate::report::HOSTILE_PAGE;
+use crate::common::{SMOKE, copy_folder, finish, fresh, harness, in_chromium, smoke_run, succeed};
+use crate::report::{HOSTILE_PAGE, PENDULUM_PAGE, ROPE_PAGE};
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
@@ -20,6 +20,25 @@ fn use_page(results: &Path, more: &[&str]) {
 fn a_reader_can_filter_choose_and_ask_in_chromium() {
     let results = smoke_run("serve");
     use_page(&results, &["--live", SMOKE]);
+}
+
+#[test]
+fn pages_of_other_robots_can_be_used_in_chromium() {
+    for results in [&PENDULUM_PAGE.0, &ROPE_PAGE.0] {
+        // The page follows changes of the results, which other tests read.
+        let copy = fresh(&format!("serve_{}", results.file_name().unwrap().display()));
+        copy_folder(results, &copy);
+        use_page(&copy, &[]);
+    }
+}
+
+#[test]
+fn a_metric_is_plotted_over_a_setting_in_chromium() {
+    let results = fresh("serve_settings");
+    let vary = ["vary={training.learning_rate: [0.0001, 0.001, 0.02]}", "seeds=[0,1]", "scenarios=[empty]"];
+    let short = ["tasks=[prediction]", "training.epochs=6", "training.patience=null"];
+    succeed(&results, &[&["run", SMOKE][..], &vary, &short].concat());
+    use_page(&results, &["--settings"]);
 }
 
 #[test]

@@ -7,6 +7,8 @@ const DASHES = { dashed: [6, 4], dotted: [2, 3] };
 const REACH = 40;
 /** The most values in a tooltip, and the most that are named because they lie beyond the axis. */
 const MOST_VALUES = 6;
+/** The width of a letter and the height of a line below an axis, px. */
+const [LETTER, LINE] = [7, 18];
 /** An outlier is at least this many times as far from the other values as these are from each other. */
 const FAR = 9;
 
@@ -177,6 +179,16 @@ function logarithmicTicks(low, high) {
   return all.filter((tick) => tick >= low * 0.999 && tick <= high * 1.001);
 }
 
+/** Divides a text at its spaces into lines of at most so many letters, if its words are not longer. */
+function inLines(text, most) {
+  const lines = [];
+  for (const word of text.split(" ")) {
+    if (lines.length && lines.at(-1).length + 1 + word.length <= most) lines[lines.length - 1] += ` ${word}`;
+    else lines.push(word);
+  }
+  return lines;
+}
+
 /** The ends of an axis for values from min to max: with some room, and with 0 if no value is negative. */
 function roomy(min, max) {
   const room = 0.04 * (max - Math.min(min, 0)) || 0.04 * Math.abs(max) || 1;
@@ -291,13 +303,15 @@ class Chart {
     if (x.ticks) {
       const texts = new Map(x.ticks.map(({ at, text }) => [at, text]));
       across.splits = (_, index, min, max) => [...texts.keys()].filter((at) => at >= min && at <= max);
-      // Texts that would overlap are left out.
-      const longest = Math.max(...[...texts.values()].map((text) => text.length));
+      // Long texts have several lines. Those that would still overlap are left out.
       across.values = (plot, splits) => {
         const room = plot.bbox.width / devicePixelRatio / splits.length;
-        const every = Math.ceil((7 * longest + 6) / room);
-        return splits.map((at, place) => (place % every ? "" : texts.get(at)));
+        const lines = splits.map((at) => inLines(texts.get(at), Math.floor((room - LETTER) / LETTER)));
+        const longest = Math.max(...lines.flat().map((line) => line.length));
+        const every = Math.ceil((LETTER * longest + LETTER) / room);
+        return lines.map((text, place) => (place % every ? "" : text.join("\n")));
       };
+      across.size = (_, values) => 28 + LINE * Math.max(0, ...(values ?? []).map((text) => text.split("\n").length - 1));
     }
     const up = { ...axis, label: y.label, size: 50, gap: 4 };
     if (y.logarithmic) Object.assign(up, { splits: (_, index, min, max) => logarithmicTicks(min, max), filter: (_, splits) => splits });

@@ -2,13 +2,17 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_analysis::{Analysis, AnalysisError, Key, Mean, Selection, all_settings};
+use harness_analysis::{
+    Analysis, AnalysisError, Comparison, Interval, Key, Labels, Mean, Part, Selection, Side, Subject,
+    all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings, whole_metrics,
+};
 use harness_catalog::{QueryError, query_recorded};
 use harness_claims::{Claim, ClaimsError, Judgment, judge};
 use harness_registry::{Recorded, Registry};
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};
+use std::collections::{BTreeSet, HashMap};
 use std::time::Instant;
 
 /// Most rows of a query's answer that are sent to the page.
@@ -105,6 +109,9 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
             Some((name.name().to_owned(), elements.iter().map(|element| element.name.as_str()).collect()))
         })
         .collect();
+    let names = metrics.column("metric")?.str()?;
+    let better: serde_json::Map<String, Value> =
+        names.iter().flatten().map(|name| (name.to_owned(), json!(higher_is_better(name)))).collect();
     let run = json!({
         "name": record.name(),
         "status": record.status.name(),
@@ -112,6 +119,7 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "command": record.provenance.command,
         "settings": all_settings(record),
         "metrics": columns(&metrics, metrics.height()),
+        "better": better,
         "losses": losses_of(registry, recorded)?,
         "horizons": horizons_of(registry, recorded)?,
         "sample_seconds": record.spec.simulation.as_ref().map(|simulation| 1.0 / simulation.sample_rate_hz),
@@ -167,6 +175,78 @@ pub fn claims(registry: &Registry, runs: &[Recorded], claims: &[Claim]) -> Resul
     }
     let verdicts = harness_claims::table(&judgments.iter().collect::<Vec<_>>())?;
     Ok(Answer::Json(json!({ "columns": columns(&verdicts, verdicts.height()) }).to_string()))
+}
+
+/// The settings in which runs differ. Each has its different values, and for each run the place of its value.
+pub fn settings(version: u128, runs: &[Recorded]) -> String {
+    let setting = |(name, values): (String, Vec<Option<String>>)| {
+        let choices: BTreeSet<&String> = values.iter().flatten().collect();
+        let places: HashMap<&String, usize> =
+            choices.iter().enumerate().map(|(place, choice)| (*choice, place)).collect();
+        let places: Vec<Option<usize>> =
+            values.iter().map(|value| value.as_ref().map(|value| places[value])).collect();
+        json!({ "name": name, "choices": choices, "places": places })
+    };
+    let settings: Vec<Value> = varied_settings(runs).into_iter().map(setting).collect();
+    let names: Vec<String> = runs.iter().map(|(_, record)| record.name()).collect();
+    json!({ "version": version.to_string(), "runs": names, "settings": settings }).to_string()
+}
+
+/// The metrics of an experiment's networks beside those of baselines, as `harness compare` shows them.
+pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Result<Answer, Failure> {
+    let own = runs.iter().filter(|(_, record)| record.experiment == experiment).cloned().collect();
+    let analysis = Analysis::of(registry, own, &Selection::default())?;
+    let means = analysis.means()?;
+    if means.is_empty() {
+        return Err(Failure::Unknown(format!("finished run of {experiment}")));
+    }
+    let metrics = whole_metrics(&means);
+    let means: Vec<Mean> = means.into_iter().filter(|mean| metrics.contains(&mean.of.metric)).collect();
+    let labels = Labels::new(&analysis, &[]);
+    let comparison = Comparison::new(&means, &[usual_key(&means)], &metrics, &labels);
+    let table = |part: Part| {
+        let column = |side: &&Side| json!({ "name": side.name(), "is_baseline": side.baseline.is_some() });
+        let row = |subject: &&Subject| {
+            let unit = comparison.units[*subject];
+            let metric = &metrics[subject.metric];
+            let intervals: Vec<Option<Interval>> =
+                part.columns.iter().map(|side| Some(comparison.mean(subject, side)?.interval)).collect();
+            let means: Vec<Option<f64>> =
+                intervals.iter().map(|interval| Some(interval.as_ref()?.mean)).collect();
+            let cells = intervals.iter().zip(best(metric, unit, &means));
+            let cell = |(interval, is_best): (&Option<Interval>, bool)| {
+                interval.as_ref().map(|interval| cell(interval, unit, is_best))
+            };
+            json!({
+                "modality": subject.predicted(),
+                "metric": metric_label(metric, unit),
+                "better": higher_is_better(metric),
+                "cells": cells.map(cell).collect::<Vec<_>>(),
+            })
+        };
+        json!({
+            "task": part.task.name(),
+            "scenario": part.scenario.map(ToString::to_string),
+            "settings": part.settings,
+            "over": part.over,
+            "columns": part.columns.iter().map(column).collect::<Vec<_>>(),
+            "rows": part.rows.iter().map(row).collect::<Vec<_>>(),
+        })
+    };
+    let tables: Vec<Value> = comparison.parts().into_iter().map(table).collect();
+    Ok(Answer::Json(json!({ "tables": tables, "notes": analysis.notes() }).to_string()))
+}
+
+/// A mean of a table, with its interval and the text that shows both.
+fn cell(interval: &Interval, unit: &str, is_best: bool) -> Value {
+    let (mean, half) = printed(interval, unit);
+    let bounds = interval.bounds.map(|(low, high)| [number(low), number(high)]);
+    json!({
+        "mean": number(interval.mean),
+        "bounds": bounds,
+        "text": half.map_or(mean.clone(), |half| format!("{mean} ± {half}")),
+        "is_best": is_best,
+    })
 }
 
 /// All tables with their columns.

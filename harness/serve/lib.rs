@@ -9,6 +9,8 @@
 //! GET  /api/runs            all runs with their overall metrics; with `?version=N`, 304 if nothing has changed
 //! GET  /api/run?run=NAME    one run: settings, metrics, losses, images; NAME is `experiment/run`
 //! GET  /api/losses?run=NAME the losses of one run, also while it trains
+//! GET  /api/settings        the settings in which runs differ, with their values
+//! GET  /api/compare?experiment=NAME  the metrics of an experiment's networks beside those of baselines
 //! GET  /api/claims          the verdicts on the paper's statements
 //! GET  /api/tables          all tables with their columns
 //! POST /api/sql             the answer to the query in the body
@@ -174,6 +176,26 @@ impl Site {
             "/api/losses" => {
                 let recorded = self.lock().find(&run()?)?;
                 answers::losses(&self.registry, &recorded)
+            }
+            "/api/settings" => {
+                let (version, runs) = {
+                    let mut snapshot = self.lock();
+                    let runs = snapshot.recorded();
+                    match snapshot.settings() {
+                        Some(known) => return Ok(Answer::Json(known.to_owned())),
+                        None => (snapshot.version(), runs),
+                    }
+                };
+                // Requests for other things are answered meanwhile.
+                let settings = answers::settings(version, &runs);
+                self.lock().remember_settings(version, settings.clone());
+                Ok(Answer::Json(settings))
+            }
+            "/api/compare" => {
+                let experiment = parameter("experiment");
+                let missing = || Failure::Bad("the parameter `experiment` is missing".into());
+                let (experiment, runs) = (experiment.ok_or_else(missing)?, self.lock().recorded());
+                answers::compare(&self.registry, &runs, &experiment)
             }
             "/api/claims" => {
                 let runs = self.lock().recorded();

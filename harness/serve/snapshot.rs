@@ -1,8 +1,9 @@
 //! The runs as they were read last, and the answer of `/api/runs`.
 
 use super::answers::{Answer, Failure, columns, number};
+use harness_analysis::higher_is_better;
 use harness_catalog::query_recorded;
-use harness_registry::{Recorded, Registry, Remembered};
+use harness_registry::{Recorded, Registry, Remembered, Tags, tags_of};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
@@ -24,6 +25,7 @@ const METRICS: &str = "select experiment, run, modality, metric, value from metr
 pub struct Snapshot {
     registry: Registry,
     memory: Remembered,
+    tags: Tags,
     /// The runs that the last look left out, with the reasons.
     left_out: Vec<String>,
     looked: Option<Instant>,
@@ -32,13 +34,15 @@ pub struct Snapshot {
     version: u128,
     /// The answer for this version, once it was asked for and had all metrics.
     answer: Option<String>,
+    /// The settings in which the runs of this version differ, once they were asked for.
+    settings: Option<String>,
 }
 
 impl Snapshot {
     pub fn new(registry: Registry) -> Self {
         let version = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_micros());
-        let (memory, left_out) = (Remembered::default(), Vec::new());
-        Self { registry, memory, left_out, looked: None, version, answer: None }
+        let (memory, tags, left_out) = (Remembered::default(), Tags::new(), Vec::new());
+        Self { registry, memory, tags, left_out, looked: None, version, answer: None, settings: None }
     }
 
     /// Reads the runs that have changed, if the last look was some time ago.
@@ -49,10 +53,18 @@ impl Snapshot {
         // A registry never forgets what it has left out, so each look has its own.
         let registry = Registry::new(self.registry.root());
         let changed = registry.refresh(&mut self.memory);
-        let before = std::mem::replace(&mut self.left_out, registry.left_out());
-        if changed || before != self.left_out || self.looked.is_none() {
+        let (tags, problem) = match registry.tags() {
+            Ok(tags) => (tags, None),
+            Err(error) => (Tags::new(), Some(format!("the tags are left out: {error}"))),
+        };
+        let left_out = registry.left_out().into_iter().chain(problem).collect();
+        let before =
+            (std::mem::replace(&mut self.left_out, left_out), std::mem::replace(&mut self.tags, tags));
+        let is_same = before.0 == self.left_out && before.1 == self.tags;
+        if changed || !is_same || self.looked.is_none() {
             self.version += 1;
             self.answer = None;
+            self.settings = None;
         }
         self.looked = Some(Instant::now());
     }
@@ -61,6 +73,23 @@ impl Snapshot {
     pub fn recorded(&mut self) -> Arc<Vec<Recorded>> {
         self.refresh();
         self.memory.recorded().clone()
+    }
+
+    /// The number of this version of the runs.
+    pub fn version(&self) -> u128 {
+        self.version
+    }
+
+    /// The settings in which the runs differ, as JSON, if they were asked for before.
+    pub fn settings(&self) -> Option<&str> {
+        self.settings.as_deref()
+    }
+
+    /// Remembers the settings in which the runs of a version differ, unless the runs have changed meanwhile.
+    pub fn remember_settings(&mut self, version: u128, settings: String) {
+        if version == self.version {
+            self.settings = Some(settings);
+        }
     }
 
     /// The folder and record of a run.
@@ -106,10 +135,16 @@ impl Snapshot {
         };
         let is_whole = left_out.len() == self.left_out.len();
         let mut found = columns(&runs, runs.height());
+        found.push(json!({ "name": "tags", "values": tags_of(&runs, &self.tags)? }));
         for ((modality, metric), values) in metrics {
             let values: Vec<Value> =
                 values.into_iter().map(|value| value.map_or(Value::Null, number)).collect();
-            found.push(json!({ "name": format!("{modality} {metric}"), "metric": metric, "values": values }));
+            found.push(json!({
+                "name": format!("{modality} {metric}"),
+                "metric": metric,
+                "better": higher_is_better(&metric),
+                "values": values,
+            }));
         }
         let root =
             std::path::absolute(self.registry.root()).unwrap_or_else(|_| self.registry.root().to_owned());

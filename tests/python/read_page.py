@@ -1,11 +1,11 @@
 """Reads a page of `harness report` in a real headless Chromium, as a person would: chooses, points, types, plays.
 
-    read_page.py PAGE RESULTS CHROMIUM CHROMEDRIVER [--hostile | --quiet] [--screenshots DIR]
+    read_page.py PAGE RESULTS CHROMIUM CHROMEDRIVER [--hostile | --quiet | --horizon | --robot] [--screenshots DIR]
 
 RESULTS is the folder that the page was made of; what the page shows is compared with its tables, read by pandas.
 With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is looked at. With
---quiet, only whether the page asks for anything, while the browser shows a page of its own beside it. Ends with an
-error at the first thing that is not as it should be.
+--quiet, only whether the page asks for anything, while the browser shows a page of its own beside it. With --robot, the
+page is about experiments in any world. Ends with an error at the first thing that is not as it should be.
 """
 
 import argparse
@@ -625,6 +625,43 @@ def read_horizon(page: Page, results: Path):
     page.check_quiet()
 
 
+def check_choices(page: Page, section: str):
+    """Every choice of every select of a chart shows points."""
+    script = f"return [...document.querySelectorAll('#{section} label:not([hidden]) select')].map((one) => one.length)"
+    for place, options in enumerate(page.run(script)):
+        for option in range(options):
+            select = Select(page.all(f"#{section} label:not([hidden]) select")[place])
+            select.select_by_index(option)
+            said = page.press(section, Keys.ESCAPE, Keys.HOME)
+            # A metric may not be defined for an element.
+            assert said or "R\u00b2" in page.one(f"#{section} .choices").text, (section, place, option)
+        Select(page.all(f"#{section} label:not([hidden]) select")[place]).select_by_index(0)
+
+
+def read_robot(page: Page):
+    """The page of any robot: every part is shown, fits a desktop and a phone, and can be touched."""
+    for size in [DESKTOP, PHONE]:
+        page.open(size)
+        sections = page.run("return [...document.querySelectorAll('main section')].map((one) => one.id)")
+        assert {"modalities", "metrics", "joints", "training", "runs"} <= set(sections), sections
+        for section in sections:
+            assert page.one(f"#{section} h2").is_displayed(), section
+            page.shoot(f"robot-{size[0]}-{section}", f"#{section}")
+        for section in {"joints", "regression", "course"} & set(sections):
+            check_choices(page, section)
+        page.shoot(f"robot-{size[0]}")
+        page.run("document.querySelectorAll('details').forEach((details) => (details.open = true))")
+        width = page.run("return document.documentElement.scrollWidth")
+        assert width <= size[0], width
+        small = page.run("""
+            const targets = [...document.querySelectorAll("button, select, input, summary, nav a")];
+            const boxes = targets.map((one) => [one.outerHTML.slice(0, 120), one.getBoundingClientRect()]);
+            return boxes.filter(([, {width, height}]) => width > 0 && Math.min(width, height) < 24)
+                .map(([text, {width, height}]) => `${text} ${width} x ${height}`);""")
+        assert size == DESKTOP or not small, small[:5]
+    page.check_quiet()
+
+
 def read_quiet(page: Page):
     pages_tab = page.browser.current_window_handle
     page.browser.switch_to.window(page.browsers_tab)
@@ -643,6 +680,7 @@ def main():
     parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--quiet", action="store_true")
     parser.add_argument("--horizon", action="store_true")
+    parser.add_argument("--robot", action="store_true")
     parser.add_argument("--screenshots", type=Path)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -655,6 +693,8 @@ def main():
                 read_quiet(page)
             elif arguments.horizon:
                 read_horizon(page, arguments.results)
+            elif arguments.robot:
+                read_robot(page)
             else:
                 tables = [table(arguments.results, name) for name in ["metrics", "predictions", "epochs"]]
                 read_on_desktop(page, *tables)

@@ -1,11 +1,12 @@
 """Uses the page of `harness serve` in a real headless Chromium like a person: filters, sorts, groups, chooses, asks.
 
-    use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--horizon] [--live SPEC]
+    use_serve.py HARNESS RESULTS CHROMIUM CHROMEDRIVER [--hostile] [--many] [--horizon] [--settings] [--live SPEC]
         [--screenshots DIR]
 
-With --hostile, names on the page try to run scripts that set `window.hostile`, and only that is checked. With --many,
-the times and the memory of many runs are measured too. With --live, a run of the spec is started and removed while the
-page is open, and the page must follow. Ends with an error at the first thing that is wrong.
+The results may be of any robot. With --hostile, names on the page try to run scripts that set `window.hostile`, and
+only that is checked. With --many, the times and the memory of many runs are measured too. With --settings, the runs
+differ in the learning rate, and plots over it are checked. With --live, a run of the spec is started and removed while
+the page is open, and the page must follow. Ends with an error at the first thing that is wrong.
 """
 
 import argparse
@@ -28,6 +29,8 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
 PATIENCE_S = 300
+# The smallest width and height of what is clicked or touched, px (WCAG 2.2, 2.5.8).
+TARGET = 24
 
 
 class Served:
@@ -88,6 +91,13 @@ class Served:
         place = names.index(name) + 1
         return self.texts(f"#table tbody tr:not([aria-hidden]) td:nth-child({place})")
 
+    def toggle(self, name: str):
+        """Shows a column, or hides it if it is shown."""
+        script = """
+            const labels = [...document.querySelectorAll("#choice label")];
+            labels.find((label) => label.textContent.trim() === arguments[0]).querySelector("input").click();"""
+        self.browser.execute_script(script, name)
+
     def sort(self, name: str):
         for button in self.all("#table thead button"):
             if re.sub(r" [↑↓▲▼]", "", button.text) == name:
@@ -107,6 +117,12 @@ class Served:
             const rows = () => document.querySelectorAll("#table tbody tr:not([aria-hidden])");
             for (let click = 0; click < arguments[1]; click += 1) rows()[arguments[0]].click();"""
         self.browser.execute_script(script, place, times)
+
+    def metric(self) -> str:
+        """The first column of an R2 that a run has, or else of a relative error."""
+        names = [re.sub(r" [↑↓▲▼]", "", text) for text in self.texts("#table thead th")]
+        there = [name for name in names if set(self.column(name)) != {"–"}]
+        return next(name for end in (" r2", " relative_error") for name in there if name.endswith(end))
 
     def shoot(self, name: str):
         if self.screenshots:
@@ -188,17 +204,28 @@ def check_runs(page: Served):
     page.filter("no such run")
     assert page.count()[0] == 0
     page.filter("status=done")
-    page.sort("contact_force r2")
-    values = [float(text.replace("−", "-")) for text in page.column("contact_force r2") if text != "–"]
+    metric = page.metric()
+    of_kinds = [name for name in page.texts("#choice label") if name.strip() == "contact_force r2_ground"]
+    for _ in of_kinds:
+        page.toggle("contact_force r2_ground")
+    arrows = {text[:-2].strip(): text[-1] for text in page.texts("#table thead th") if text[-1:] in ("↑", "↓")}
+    assert {arrow for name, arrow in arrows.items() if " r2" in name} <= {"↑"}, arrows
+    assert arrows[metric] == ("↑" if metric.endswith(" r2") else "↓"), arrows
+    assert {arrow for name, arrow in arrows.items() if " r2" not in name} <= {"↓"}, arrows
+    for _ in of_kinds:
+        assert arrows["contact_force r2_ground"] == "↑", arrows
+        page.toggle("contact_force r2_ground")
+    page.sort(metric)
+    values = [float(text.replace("−", "-")) for text in page.column(metric) if text != "–"]
     assert values == sorted(values, reverse=True), values
     Select(page.one("#group")).select_by_value("experiment")
     groups = page.texts("#table tr.group")
     assert groups and sum(int(re.search(r"\((\d+)\)", text)[1]) for text in groups) == page.count()[0]
     table = page.text("#table")
     assert not any(int(re.search(r"\((\d+)\)", text)[1]) > 1 for text in groups) or "±" in table, table
-    Select(page.one("#plotted")).select_by_value("contact_force r2")
+    Select(page.one("#plotted")).select_by_value(metric)
     chart = page.one("#plot .plot")
-    assert chart.get_attribute("aria-label").startswith("contact_force r2 by experiment: "), "the metric is plotted"
+    assert chart.get_attribute("aria-label").startswith(f"{metric} by experiment: "), "the metric is plotted"
     chart.send_keys(Keys.HOME)
     assert page.text("#plot .tooltip") != "", "a point says what it is"
     page.shoot("groups")
@@ -221,6 +248,46 @@ def check_address(page: Served):
     page.browser.execute_script("performance.setResourceTimingBufferSize(100000)")
     page.wait(lambda: page.count() is not None)
     assert state() == before and page.browser.current_url == address, (before, state())
+
+
+def check_comparison(page: Served, harness: str, results: str):
+    """The table of an experiment is that of `harness compare`, and one of its rows is drawn."""
+    page.open(DESKTOP)
+    name = page.texts("#compared option")[1]
+    assert page.answered("/api/compare") == 0, "a table is made when it is asked for"
+    Select(page.one("#compared")).select_by_value(name)
+    page.wait(lambda: page.all("#comparison tbody tr"))
+    path = f"/api/compare?experiment={name}"
+    tables = json.loads(ask(page.address, path)[1])["tables"]
+    columns = [column["name"] for column in tables[0]["columns"]]
+    assert page.texts("#comparison div:nth-of-type(3) thead th")[2:] == columns, columns
+    metrics = "smape,wmape,r2,rmse,mae,relative_error,skill"
+    command = [harness, "--results", results, "compare", name, "--metrics", metrics, "--format", "markdown"]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    lines = [line.strip("| ").split(" | ") for line in said.splitlines() if line.startswith("|")]
+    compared = {cell.replace("*", "") for line in lines for cell in line}
+    assert set(columns) <= compared, (columns, said)
+    cells = [cell["text"] for table in tables for row in table["rows"] for cell in row["cells"] if cell]
+    assert cells and set(cells) <= compared, (set(cells) - compared, said)
+    assert len(page.all("#comparison b")) == sum(cell.startswith("**") for line in lines for cell in line)
+    rows = page.texts("#comparison select option")
+    assert len(rows) == sum(len(table["rows"]) for table in tables) == len(set(rows)), rows
+    Select(page.one("#comparison select")).select_by_value(rows[-1])
+    chart = page.one("#comparison .plot")
+    assert chart.get_attribute("aria-label").startswith(f"{rows[-1]}: "), rows
+    chart.send_keys(Keys.HOME)
+    last = tables[-1]["rows"][-1]["cells"]
+    first = next(place for place, cell in enumerate(last) if cell)
+    assert page.text("#comparison .tooltip span") == f"{columns[first]}: {last[first]['text']}"
+    page.browser.execute_script("document.querySelector('#comparison').scrollIntoView()")
+    page.shoot("comparison")
+    address = page.browser.current_url
+    page.browser.get("about:blank")
+    page.browser.get(address)
+    page.wait(lambda: page.all("#comparison tbody tr"))
+    assert page.one("#comparison .plot").get_attribute("aria-label").startswith(f"{rows[-1]}: ")
+    Select(page.one("#compared")).select_by_value("")
+    page.wait(lambda: page.text("#comparison") == "")
 
 
 def check_chosen(page: Served):
@@ -260,6 +327,12 @@ def check_chosen(page: Served):
     assert entry.text not in tooltip.text and len(tooltip.text.splitlines()) == 4, tooltip.text
     page.browser.execute_script("for (const one of document.querySelectorAll('#chosen details')) one.open = true")
     page.shoot("details")
+    directions = page.browser.execute_script("""
+        const all = [...document.querySelectorAll("#chosen details")];
+        const rows = all.find((one) => one.textContent.startsWith("Metrics")).querySelectorAll("tbody tr");
+        return Object.fromEntries([...rows].map(({cells}) => [cells[2].textContent, cells[4].textContent]));""")
+    is_up = {name: words == "higher is better" for name, words in directions.items()}
+    assert is_up == {name: name.startswith("r2") for name in directions}, directions
     for _ in range(2):
         page.browser.execute_script("document.querySelector('tr.chosen').click()")
     page.wait(lambda: page.text("#chosen") == "")
@@ -341,7 +414,7 @@ def check_changes(page: Served, results: Path):
     page.wait(lambda: page.answered("/api/claims") > asked)
     page.one("#tab-runs").click()
     everything = page.count()[1]
-    assert everything > 0 and page.column("contact_force r2"), "the page was opened before the first run was done"
+    assert everything > 0 and page.metric(), "the page was opened before the first run was done"
 
     whole = record.read_bytes()
     def left_out() -> str:
@@ -366,7 +439,7 @@ def check_changes(page: Served, results: Path):
     metrics.write_bytes(intact)
     page.wait(lambda: left_out() == "" and page.count() == [everything, everything])
     page.filter("")
-    assert page.column("contact_force r2")
+    assert page.column(page.metric())
 
 
 def check_horizon(page: Served):
@@ -392,11 +465,140 @@ def check_horizon(page: Served):
     page.wait(lambda: page.text("#chosen h2") == "2 runs" and "Over the horizon" in page.texts("#chosen h3"))
 
 
+def check_fits(page: Served, step: str):
+    """Nothing is wider than the phone, and targets are large enough. A checkbox is touched with its row or label."""
+    page.shoot(f"phone-{step}")
+    wide, small = page.browser.execute_script("""
+        const targets = [...document.querySelectorAll("button, select, input, textarea, summary, a[href]")];
+        const boxes = targets.map((one) => (one.type === "checkbox" ? one.closest("tr, label") : one))
+            .map((one) => [one, one.getBoundingClientRect()]).filter(([, {width}]) => width > 0);
+        const small = boxes.filter(([, {width, height}]) => Math.min(width, height) < arguments[0]);
+        return [document.documentElement.scrollWidth,
+            small.map(([one, {width, height}]) => `${one.outerHTML.slice(0, 120)} ${width} x ${height}`)];""", TARGET)
+    assert wide <= PHONE[0], (step, wide)
+    assert not small, (step, small[:5])
+
+
 def check_phone(page: Served):
     page.open(PHONE)
-    wide = page.browser.execute_script("return document.documentElement.scrollWidth")
-    assert wide <= PHONE[0], f"the page is {wide} pixels wide"
-    page.shoot("phone")
+    check_fits(page, "runs")
+    Select(page.one("#group")).select_by_value("experiment")
+    check_fits(page, "groups")
+    Select(page.one("#plotted")).select_by_value(page.metric())
+    page.browser.execute_script("document.querySelector('#plot').scrollIntoView()")
+    check_fits(page, "plot")
+    Select(page.one("#compared")).select_by_index(1)
+    page.wait(lambda: page.all("#comparison tbody tr"))
+    page.browser.execute_script("document.querySelector('#comparison').scrollIntoView()")
+    check_fits(page, "comparison")
+    for name in ["compared", "plotted", "group"]:
+        Select(page.one(f"#{name}")).select_by_value("")
+    for place in range(2):
+        page.click_row(place)
+    page.wait(lambda: page.text("#chosen h2") == "2 runs" and page.all("#chosen .uplot"))
+    page.browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    page.browser.execute_script("document.querySelector('#chosen').scrollIntoView()")
+    check_fits(page, "chosen")
+    page.browser.execute_script("document.querySelector('#chosen details').scrollIntoView()")
+    check_fits(page, "details")
+    page.browser.execute_script("scrollTo(0, 0)")
+    page.one("#tab-claims").click()
+    page.wait(lambda: page.all("#claims tbody tr"))
+    check_fits(page, "claims")
+    page.one("#tab-sql").click()
+    page.wait(lambda: page.texts("#columns summary"))
+    page.one("#ask button").click()
+    page.wait(lambda: page.text("#asked").endswith(" s"))
+    check_fits(page, "sql")
+
+
+def check_tags(page: Served, harness: str, results: str):
+    """The tags that a run gets while the page is open are a column, and select runs."""
+    page.open(DESKTOP)
+    assert not any("tags" in text for text in page.texts("#table thead th"))
+    everything = page.count()[1]
+    run = f"{page.column('experiment')[0]}/{page.column('run')[0]}"
+
+    def tag(*words: str):
+        subprocess.run([harness, "--results", results, "tag", run, *words], check=True, stdout=subprocess.DEVNULL)
+
+    tag("best")
+    tag("of-paper")
+    page.wait(lambda: "best of-paper" in page.texts("#table td"))
+    for text, found in [("tags=best", 1), ("tags!=best", everything - 1), ("tags=of", 0), ("of-pap", 1)]:
+        page.filter(text)
+        assert page.count() == [found, everything], text
+    page.filter("tags=best")
+    page.shoot("tags")
+    tag("best", "--remove")
+    page.wait(lambda: page.count() == [0, everything])
+    tag("of-paper", "--remove")
+
+
+def check_settings(page: Served):
+    """A metric is plotted over a setting, runs are grouped by it, and losses are smoothed, also by an address."""
+    page.open(DESKTOP)
+    assert page.answered("/api/settings") == 0, "settings are asked for when they are needed"
+    page.browser.execute_script("document.querySelector('#over').dispatchEvent(new Event('pointerenter'))")
+    key = "training.learning_rate"
+    page.wait(lambda: key in page.texts("#over optgroup option") and key in page.texts("#group optgroup option"))
+    metric = page.metric()
+    Select(page.one("#plotted")).select_by_value(metric)
+    Select(page.one("#over")).select_by_value(key)
+    runs = {column["name"]: column["values"] for column in json.loads(ask(page.address, "/api/runs")[1])["columns"]}
+    rates = [float(re.search(r"learning_rate=([^,]+)", variant)[1]) for variant in runs["variant"]]
+    assert sorted(set(rates)) == [0.0001, 0.001, 0.02]
+    by_rate = {rate: [value for own, value in zip(rates, runs[metric]) if own == rate] for rate in sorted(set(rates))}
+    chart = page.one("#plot .plot")
+    assert chart.get_attribute("aria-label").startswith(f"{metric} over {key}: ")
+
+    def said(key: str) -> str:
+        chart = page.one("#plot .plot")
+        chart.send_keys(key)
+        return page.one("#plot .tooltip").text.replace("−", "-")
+
+    # The second and third of the three means; their series is in front.
+    page.one("#plot .plot").send_keys(Keys.ESCAPE)
+    for keys, (rate, values) in zip([Keys.HOME, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT], by_rate.items()):
+        text = said(keys)
+        mean = sum(values) / len(values)
+        found = re.search(rf"{key} {rate:g}: (-?[\d.]+) ± ", text)
+        assert found and abs(float(found[1]) - mean) <= 1e-3 * abs(mean), (text, rate, mean)
+    page.shoot("over")
+    Select(page.one("#group")).select_by_value(key)
+    groups = page.texts("#table tr.group")
+    heads = sorted(re.search(r"[\d.]+ \(\d+\)", text)[0] for text in groups)
+    assert heads == ["0.0001 (2)", "0.001 (2)", "0.02 (2)"], groups
+    assert len(page.texts("#plot .legend button")) == 3, "each group is a series"
+
+    Select(page.one("#group")).select_by_value("")
+    page.click_row()
+    page.wait(lambda: page.all("#chosen .uplot"))
+    script = """
+        const range = document.querySelector("#chosen input[type=range]");
+        range.value = "0.9";
+        range.dispatchEvent(new Event("input"));"""
+    page.browser.execute_script(script)
+    address = page.browser.current_url
+    assert f"over={key}" in address and "smooth=0.9" in address, address
+    page.browser.get("about:blank")
+    page.browser.get(address)
+    page.wait(lambda: page.all("#plot .plot") and page.all("#chosen .uplot"))
+    page.wait(lambda: page.one("#plot .plot").get_attribute("aria-label").startswith(f"{metric} over {key}: "))
+    name = page.text("#chosen h2")
+    run = json.loads(ask(page.address, f"/api/run?run={name}")[1])
+    losses = {column["name"]: column["values"] for column in run["losses"]}
+    rows = sorted(zip(losses["epoch"], losses["term"], losses["split"], losses["value"]))
+    values = [value for _, term, split, value in rows if (term, split) == ("total", "train")]
+    weights = [0.9 ** (len(values) - 1 - place) for place in range(len(values))]
+    expected = sum(weight * value for weight, value in zip(weights, values)) / sum(weights)
+    titles = page.texts("#chosen h4")
+    plot = page.all("#chosen .plot")[titles.index("prediction: total")]
+    plot.send_keys(Keys.END)
+    text = plot.find_element(By.CSS_SELECTOR, ".tooltip").text
+    shown = [float(line.rsplit(" ", 1)[1]) for line in text.splitlines() if line.startswith("train: ")]
+    assert any(abs(value - expected) <= 1e-3 * expected for value in shown), (text, expected)
+    page.shoot("smoothed")
 
 
 def check_many(page: Served, process: subprocess.Popen):
@@ -514,6 +716,7 @@ def main():
     parser.add_argument("--hostile", action="store_true")
     parser.add_argument("--many", action="store_true")
     parser.add_argument("--horizon", action="store_true")
+    parser.add_argument("--settings", action="store_true")
     parser.add_argument("--live")
     parser.add_argument("--screenshots", type=Path)
     chosen = parser.parse_args()
@@ -531,13 +734,18 @@ def main():
                     check_many(page, process)
                 elif chosen.horizon:
                     check_horizon(page)
+                elif chosen.settings:
+                    check_settings(page)
                 else:
                     check_guard(address)
                     check_runs(page)
+                    check_comparison(page, chosen.harness, chosen.results)
+                    page.open(DESKTOP)
                     check_chosen(page)
                     check_claims_and_sql(page)
                     check_reads(page, process, Path(chosen.results))
                     check_changes(page, Path(chosen.results))
+                    check_tags(page, chosen.harness, chosen.results)
                     check_phone(page)
                     if chosen.live:
                         check_live(page, chosen.harness, chosen.results, chosen.live)

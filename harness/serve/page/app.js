@@ -49,34 +49,53 @@ const note = (text) => (find("note").textContent = text);
 const state = {
   columns: [], count: 0, version: "", sort: { name: "started", down: true }, group: "", plotted: "", open: new Set(),
   chosen: new Map(), tab: "tab-runs",
+  // The column or setting over which the plot is.
+  over: "",
+  // How much the curves of losses are smoothed: the weight of the earlier epochs, from 0 to 0.95.
+  smooth: 0,
+  // The experiment that is compared, and the name of the row of its table that is drawn.
+  compared: "", drawn: "",
   // The last text in the field of the filter that was one.
   filter: "",
   // The status of each run, and the names of all columns so far and of those that are shown.
   statuses: new Map(), known: new Set(), visible: new Set(),
 };
 
-/** Writes what is filtered, sorted, grouped, plotted and chosen into the address, so that a link shows the same. */
+/** Writes what is filtered, sorted, grouped, plotted, compared and chosen into the address, so that a link shows the same. */
 function remember() {
   // Until the runs are there, the address says what to show.
   if (state.version === "") return;
-  const { tab, filter, group, plotted, sort, chosen } = state;
+  const { tab, filter, group, plotted, over, compared, drawn, smooth, sort, chosen } = state;
   const words = new URLSearchParams();
   if (tab !== "tab-runs") words.set("tab", tab.replace("tab-", ""));
-  for (const [key, value] of Object.entries({ filter, group, plot: plotted })) if (value) words.set(key, value);
+  const fields = { filter, group, plot: plotted, over, compare: compared, draw: compared && drawn, smooth };
+  for (const [key, value] of Object.entries(fields)) if (value) words.set(key, value);
   if (sort.name !== "started" || !sort.down) words.set(sort.down ? "down" : "up", sort.name);
   for (const name of chosen.keys()) words.append("run", name);
   history.replaceState(null, "", `${location.pathname}${`#${words}`.replace(/^#$/, "")}`);
 }
 
+/** Whether a select has an option. */
+const offers = (id, value) => [...find(id).options].some((option) => option.value === value);
+
 /** Shows what the address says, once the runs are there. */
 function recall() {
   const words = new URLSearchParams(location.hash.slice(1));
   find("filter").value = words.get("filter") ?? "";
-  const offered = (id, value) => [...find(id).options].some((option) => option.value === value);
-  for (const [id, key, name] of [["group", "group", "group"], ["plotted", "plotted", "plot"]]) {
+  const fields = [["group", "group"], ["plotted", "plot"], ["over", "over"], ["compared", "compare"]];
+  const take = ([id, name]) => {
     const value = words.get(name) ?? "";
-    if (offered(id, value)) find(id).value = state[key] = value;
-  }
+    if (offers(id, value)) find(id).value = state[id] = value;
+  };
+  fields.forEach(take);
+  // The address may name settings, which are not there yet.
+  const wanted = fields.filter(([id, name]) => BY_SETTING.includes(id) && (words.get(name) ?? "") !== state[id]);
+  if (wanted.length) askSettings().then(() => {
+    wanted.forEach(take);
+    update();
+  });
+  state.drawn = words.get("draw") ?? "";
+  state.smooth = Math.min(Math.max(Number(words.get("smooth")) || 0, 0), MOST_SMOOTH);
   for (const direction of ["up", "down"]) {
     if (named(words.get(direction))) state.sort = { name: words.get(direction), down: direction === "down" };
   }
@@ -116,6 +135,8 @@ for (const [index, tab] of tabs.entries()) {
 // --- Runs ---
 
 const named = (name) => state.columns.find((column) => column.name === name);
+/** The column or the setting of this name. */
+const columnOf = (name) => named(name) ?? settings.columns.find((column) => column.name === name);
 const nameOf = (row) => `${named("experiment").values[row]}/${named("run").values[row]}`;
 
 const table = new BigTable(find("table"), {
@@ -165,14 +186,13 @@ function update() {
   }
   const shownColumns = state.columns.filter((column) => state.visible.has(column.name));
   find("count").textContent = `${rows.length} of ${state.count} runs`;
-  table.show(shownColumns, state.group ? grouped(rows) : rows, state.sort);
+  table.show(shownColumns, columnOf(state.group) ? grouped(rows) : rows, state.sort);
   showGroups(rows);
   remember();
 }
 
-/** The rows of each group, in the order of the groups' first rows. */
-function groupsOf(rows) {
-  const { values } = named(state.group);
+/** The rows of each value of a column, in the order of the values' first rows. */
+function groupsOf(rows, { values }) {
   const groups = new Map();
   for (const row of rows) {
     const key = shown(values[row]);
@@ -186,36 +206,20 @@ function groupsOf(rows) {
 const SPREAD = 0.5;
 let groupChart;
 
-/** Draws the chosen metric over the groups: each run, and the mean and the standard deviation of each group. */
+/** Draws the chosen metric over a setting or over the groups: each run, and means with standard deviations. */
 function showGroups(rows) {
-  const metric = named(state.plotted);
+  const [metric, over, group] = [named(state.plotted), columnOf(state.over), columnOf(state.group)];
   const place = find("plot");
-  if (!metric || !named(state.group)) {
+  if (!metric || !(over ?? group)) {
     groupChart?.remove();
     groupChart = undefined;
     place.replaceChildren();
     return;
   }
   const measured = rows.filter((row) => typeof metric.values[row] === "number");
-  const groups = [...groupsOf(measured)];
-  const names = groups.map(([name]) => name);
-  const runs = groups.flatMap(([name, rows], at) => rows.map((row, index) => ({
-    x: at + SPREAD * ((index + 0.5) / rows.length - 0.5), y: metric.values[row], says: [nameOf(row), `${name}: ${shown(metric.values[row])}`],
-  })));
-  const means = groups.map(([name, rows], at) => {
-    const { mean, deviation } = meanOf(rows.map((row) => metric.values[row]));
-    const bounds = deviation === null ? undefined : [mean - deviation, mean + deviation];
-    return { x: at, y: mean, bounds, says: [`${name}: ${meanText({ mean, deviation })}`] };
-  });
-  const content = {
-    title: `${metric.name} by ${state.group}`,
-    x: { label: state.group, low: -0.5, high: names.length - 0.5, ticks: names.map((text, at) => ({ at, text })) },
-    y: { label: metric.name, ...withoutOutliers(runs.map((point) => point.y)) },
-    series: [
-      { name: "runs", color: COLORS[1], kind: "dot", behind: true, points: runs },
-      { name: "mean ± standard deviation", color: COLORS[0], kind: "disc", points: means },
-    ],
-  };
+  const numeric = over && measured.some((row) => over.values[row] !== null) &&
+    measured.every((row) => over.values[row] === null || typeof over.values[row] === "number");
+  const content = numeric ? numericContent(measured, metric, over, group) : categoryContent(measured, metric, over ?? group);
   if (!groupChart) {
     const box = element("div", { class: "chart" });
     place.replaceChildren(box);
@@ -224,9 +228,68 @@ function showGroups(rows) {
   groupChart.show(content);
 }
 
+/** The mean of a metric over runs at a place of a chart, with the standard deviation. */
+function meanPoint(rows, metric, x, name) {
+  const { mean, deviation } = meanOf(rows.map((row) => metric.values[row]));
+  const bounds = deviation === null ? undefined : [mean - deviation, mean + deviation];
+  return { x, y: mean, bounds, says: [`${name}: ${meanText({ mean, deviation })}`] };
+}
+
+/** A chart of a metric over the values of a column, which are beside each other. */
+function categoryContent(rows, metric, column) {
+  const groups = [...groupsOf(rows, column)];
+  const runs = groups.flatMap(([name, rows], at) => rows.map((row, index) => ({
+    x: at + SPREAD * ((index + 0.5) / rows.length - 0.5), y: metric.values[row], says: [nameOf(row), `${name}: ${shown(metric.values[row])}`],
+  })));
+  return {
+    title: `${metric.name} by ${column.name}`,
+    x: { label: column.name, low: -0.5, high: groups.length - 0.5, ticks: groups.map(([text], at) => ({ at, text })) },
+    y: { label: metric.name, ...withoutOutliers(runs.map((point) => point.y)) },
+    series: [
+      { name: "runs", color: COLORS[1], kind: "dot", behind: true, points: runs },
+      { name: MEANS, color: COLORS[0], kind: "disc", points: groups.map(([name, rows], at) => meanPoint(rows, metric, at, name)) },
+    ],
+  };
+}
+
+const MEANS = "mean ± standard deviation";
+/** An axis is logarithmic if its largest value is more than so many times its smallest. */
+const WIDE = 100;
+
+/** A chart of a metric over a number of each run, with a line for each group. */
+function numericContent(rows, metric, over, group) {
+  const there = rows.filter((row) => over.values[row] !== null);
+  const values = distinct(there.map((row) => over.values[row]));
+  const [least, most] = [values[0], values.at(-1)];
+  const isWide = least > 0 && most / least > WIDE;
+  const at = isWide ? Math.log10 : (value) => value;
+  const margin = 0.04 * (at(most) - at(least)) || 0.5;
+  const groups = group ? [...groupsOf(there, group)] : [[MEANS, there]];
+  const series = groups.flatMap(([name, rows], place) => {
+    const [own, behind] = group ? [place, place] : [0, 1];
+    const says = (row) => [nameOf(row), `${over.name} ${shown(over.values[row])}: ${shown(metric.values[row])}`];
+    const points = rows.map((row) => ({ x: at(over.values[row]), y: metric.values[row], says: says(row) }));
+    const byValue = values.map((value) => [value, rows.filter((row) => over.values[row] === value)]).filter(([, rows]) => rows.length);
+    const means = byValue.map(([value, rows]) => meanPoint(rows, metric, at(value), `${over.name} ${shown(value)}`));
+    return [
+      { name: group ? name : "runs", color: COLORS[behind % COLORS.length], kind: "dot", behind: true, alpha: 0.6, points },
+      { name, color: COLORS[own % COLORS.length], kind: "disc", line: true, points: means },
+    ];
+  });
+  return {
+    title: `${metric.name} over ${over.name}`,
+    x: {
+      label: over.name, low: at(least) - margin, high: at(most) + margin,
+      ...(isWide && { ticks: logarithmicTicks(least, most).map((value) => ({ at: at(value), text: shown(value) })) }),
+    },
+    y: { label: metric.name, ...withoutOutliers(there.map((row) => metric.values[row])) },
+    series,
+  };
+}
+
 /** The rows by group, in the order of the groups' first rows. The rows of closed groups are left out. */
 function grouped(rows) {
-  return [...groupsOf(rows)].flatMap(([group, rows]) => {
+  return [...groupsOf(rows, columnOf(state.group))].flatMap(([group, rows]) => {
     const open = state.open.has(group);
     return [{ group, rows, open }, ...(open ? rows : [])];
   });
@@ -235,24 +298,32 @@ function grouped(rows) {
 function takeRuns(answer) {
   const first = state.version === "";
   // The metrics follow the columns that name a run and its status.
-  const isEarly = (column) => ["experiment", "run", "status"].includes(column.name);
+  const isEarly = (column) => ["experiment", "run", "status", "tags"].includes(column.name);
   const [early, late] = [answer.columns.filter(isEarly), answer.columns.filter((column) => !isEarly(column))];
   const columns = [...early, ...late.filter((column) => column.metric), ...late.filter((column) => !column.metric)];
   Object.assign(state, { columns, count: answer.count, version: answer.version });
-  for (const column of state.columns) if (column.metric) column.better = column.metric === "r2";
-  const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric);
+  alignSettings();
+  const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric) ||
+    (column.name === "tags" && column.values.some((tags) => tags !== null));
   for (const column of state.columns) {
-    if (isFirst(column) && !state.known.has(column.name)) state.visible.add(column.name);
+    if (!isFirst(column)) continue;
+    if (!state.known.has(column.name)) state.visible.add(column.name);
     state.known.add(column.name);
   }
   if (first) {
     find("group").append(new Option("nothing", ""));
     const keys = ["experiment", "scenario", "variant", "input", "output", "latent", "status", "group_hash", "dataset", "host"];
     for (const name of keys) find("group").append(new Option(name === "group_hash" ? "settings without seed" : name, name));
+    find("over").append(new Option("the groups", ""), ...OVER.map((name) => new Option(name)));
   }
   // Metrics appear with the first run that has them.
   const plotted = ["", ...state.columns.filter((column) => column.metric).map((column) => column.name)];
-  find("plotted").replaceChildren(...plotted.map((name) => new Option(name || "nothing", name, false, name === state.plotted)));
+  const offer = (id, names) => find(id).replaceChildren(...names.map((name) => new Option(name || "nothing", name, false, name === state[id])));
+  offer("plotted", plotted);
+  const { values: status } = named("status");
+  const experiments = distinct(named("experiment").values.filter((_, row) => status[row] === "done"));
+  if (!experiments.includes(state.compared)) state.compared = "";
+  offer("compared", ["", ...experiments]);
   const chooseRuns = first ? recall() : undefined;
   find("choice").querySelector("div").replaceChildren(...state.columns.map((column) => {
     const box = element("input", { type: "checkbox" });
@@ -266,20 +337,180 @@ function takeRuns(answer) {
   find("folder").textContent = answer.results;
   find("left-out").hidden = answer.left_out.length === 0;
   find("left-out").textContent = answer.left_out.join(" ");
-  const { values: statuses } = named("status");
-  state.statuses = new Map(statuses.map((status, row) => [nameOf(row), status]));
+  state.statuses = new Map(status.map((status, row) => [nameOf(row), status]));
   update();
+  compare();
+  if (BY_SETTING.some((id) => state[id] && !named(state[id]))) askSettings().then(update);
   chooseRuns?.();
   const removed = [...state.chosen.keys()].filter((name) => !state.statuses.has(name));
   if (removed.length) takeAway(removed);
 }
 
 find("filter").addEventListener("input", update);
-for (const key of ["group", "plotted"]) {
+for (const key of ["group", "plotted", "over"]) {
   find(key).addEventListener("change", () => {
     state[key] = find(key).value;
     update();
   });
+}
+
+find("compared").addEventListener("change", () => {
+  Object.assign(state, { compared: find("compared").value, drawn: "" });
+  remember();
+  compare();
+});
+
+// --- Settings ---
+
+/** The selects that offer the settings in which runs differ. */
+const BY_SETTING = ["group", "over"];
+/** The columns of runs over which a metric can be plotted. */
+const OVER = ["latent", "seed", "parameters", "seconds"];
+/**
+ * The settings in which runs differ. They are asked for when a reader needs them, because those of many runs take long.
+ * `columns` have a value for each row.
+ */
+const settings = { version: "", asked: null, answer: null, columns: [] };
+
+/** Asks for the settings of the present runs, unless they were asked for. The promise ends when they are offered. */
+function askSettings() {
+  if (settings.version !== state.version) Object.assign(settings, { version: state.version, asked: offerSettings() });
+  return settings.asked;
+}
+
+async function offerSettings() {
+  try {
+    settings.answer = await ask("/api/settings");
+  } catch (error) {
+    settings.version = "";
+    note(messageOf(error));
+    return;
+  }
+  alignSettings();
+  for (const id of BY_SETTING) {
+    find(id).querySelector("optgroup")?.remove();
+    const options = settings.columns.map(({ name }) => new Option(name, name, false, name === state[id]));
+    find(id).append(element("optgroup", { label: "settings" }, ...options));
+  }
+}
+
+/** A number, also if it is the only item of a list, such as `[64]`. Other texts stay as they are. */
+function numberIn(text) {
+  const number = Number(/^\[(.*)\]$/.exec(text)?.[1] ?? text);
+  return text.trim() === "" || Number.isNaN(number) ? text : number;
+}
+
+/** Gives each row its values of the settings. Runs that are newer than the settings have none. */
+function alignSettings() {
+  if (!settings.answer) return;
+  const places = new Map(settings.answer.runs.map((name, place) => [name, place]));
+  const rows = Array.from({ length: state.count }, (_, row) => places.get(nameOf(row)));
+  const own = settings.answer.settings.filter(({ name }) => !named(name));
+  settings.columns = own.map(({ name, choices, places }) => {
+    const values = choices.map(numberIn);
+    return { name, values: rows.map((place) => values[places[place]] ?? null) };
+  });
+}
+
+for (const id of BY_SETTING) {
+  for (const event of ["focus", "pointerenter"]) find(id).addEventListener(event, () => void askSettings());
+}
+
+// --- The table and a figure of an experiment ---
+
+/** The experiment and the version of the runs that were compared last. */
+let comparedLast = "";
+let comparisonChart;
+
+/** Compares the networks of an experiment with each other and with baselines, unless the page shows that already. */
+async function compare() {
+  const own = JSON.stringify([state.compared, state.compared && state.version]);
+  if (comparedLast === own) return;
+  comparedLast = own;
+  let parts = [];
+  if (state.compared) {
+    try {
+      const answer = await ask(`/api/compare?experiment=${encodeURIComponent(state.compared)}`);
+      parts = [() => showComparison(answer)];
+    } catch (error) {
+      parts = [() => find("comparison").append(element("p", { class: "problem" }, messageOf(error)))];
+    }
+  }
+  // The user may have chosen another experiment before the server answered.
+  if (comparedLast !== own) return;
+  comparisonChart?.remove();
+  comparisonChart = undefined;
+  find("comparison").replaceChildren();
+  parts.forEach((show) => show());
+}
+
+/** A row of a table of a comparison in words. */
+const rowWords = (table, row) => [row.modality, row.metric, table.scenario, table.task, table.settings].filter((word) => word).join(", ");
+
+function showComparison({ tables, notes }) {
+  const place = find("comparison");
+  place.append(element("h2", {}, state.compared), ...notes.map((text) => element("p", {}, text)));
+  const rows = tables.flatMap((table) => table.rows.map((row) => ({ table, row, name: rowWords(table, row) })));
+  const [first] = rows;
+  const select = element("select");
+  select.append(...rows.map(({ name }) => new Option(name, name, false, name === state.drawn)));
+  const box = element("div", { class: "chart" });
+  const draw = () => {
+    const { table, row } = rows.find(({ name }) => name === select.value) ?? first;
+    comparisonChart.show(comparisonContent(table, row));
+  };
+  select.addEventListener("change", () => {
+    state.drawn = select.value;
+    remember();
+    draw();
+  });
+  place.append(element("div", { class: "controls" }, element("label", {}, "Figure of ", select)), box, ...tables.map(comparisonTable));
+  comparisonChart = new Chart(box);
+  draw();
+}
+
+/** A table of networks and baselines, under its title. The best value of each row is bold. */
+function comparisonTable(table) {
+  const heads = ["modality", "metric", ...table.columns.map((column) => column.name)];
+  const head = heads.map((name, place) => element("th", { scope: "col", class: place > 1 ? "number" : "" }, name));
+  const cell = (one) => element("td", { class: "number" }, one?.is_best ? element("b", {}, one.text) : one?.text ?? "");
+  const rows = table.rows.map((row) => element("tr", {},
+    element("td", {}, row.modality), element("td", {}, row.metric + betterArrow(row.better)), ...row.cells.map(cell)));
+  const title = [table.scenario, table.task, table.settings].filter((word) => word).join(", ");
+  const over = table.over ? `± is half of the 95 % interval over ${table.over}.` : "Each value is of one run.";
+  return element("div", {}, element("h3", {}, title),
+    element("div", { class: "scroll" }, element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows))),
+    element("p", { class: "hint" }, over));
+}
+
+/** The ends of an axis for networks, and for those baselines that are near them. The others are named as beyond it. */
+function aroundNetworks(networks, baselines) {
+  if (networks.length === 0) return {};
+  const ends = networks.flatMap((point) => [point.y, ...(point.bounds ?? [])]);
+  const [min, max] = [Math.min(...ends), Math.max(...ends)];
+  const room = max - min || 0.1 * Math.abs(max) || 1;
+  const near = baselines.map((point) => point.y).filter((y) => y >= min - room && y <= max + room);
+  const [least, most] = [Math.min(min, ...near), Math.max(max, ...near)];
+  return { low: least - 0.05 * (most - least || room), high: most + 0.05 * (most - least || room) };
+}
+
+/** A chart of a row of a comparison: the mean of each column, with its interval. */
+function comparisonContent(table, row) {
+  const points = (isBaseline) => row.cells.flatMap((cell, at) => (cell && table.columns[at].is_baseline === isBaseline
+    ? [{ x: at, y: cell.mean, bounds: cell.bounds ?? undefined, says: [`${table.columns[at].name}: ${cell.text}`] }] : []));
+  const [networks, baselines] = [points(false), points(true)];
+  return {
+    title: rowWords(table, row),
+    x: {
+      label: "network or baseline", low: -0.5, high: table.columns.length - 0.5,
+      ticks: table.columns.map(({ name }, at) => ({ at, text: name })),
+    },
+    y: { label: row.metric, ...aroundNetworks(networks, baselines) },
+    series: [
+      { name: "baselines", color: COLORS[1], kind: "diamond", behind: true, points: baselines },
+      { name: "networks", color: COLORS[0], kind: "disc", points: networks },
+    ],
+  };
 }
 
 // --- Chosen runs ---
@@ -351,7 +582,7 @@ function showChosen() {
   parts.append(element("h2", {}, runs.length === 1 ? runs[0].name : `${runs.length} runs`));
   for (const run of runs.filter((run) => run.reason)) parts.append(element("p", { class: "problem" }, `${run.name}: ${run.reason}`));
   const curves = element("div", { class: "charts" });
-  parts.append(element("h3", {}, "Losses"), hint(), curves);
+  parts.append(element("div", { class: "controls" }, element("h3", {}, "Losses"), smoothing()), hint(), curves);
   for (const kind of lossKinds(runs)) addChart(curves, lossContent(runs, kind), kind);
   if (charts.length === 0) curves.append(element("p", {}, "No epoch has finished yet."));
   parts.append(differences(runs), metricsTable(runs));
@@ -367,17 +598,43 @@ function showChosen() {
   return undefined;
 }
 
+/** The largest weight of earlier epochs in a smoothed curve. */
+const MOST_SMOOTH = 0.95;
+
+/** The control by which curves of losses are smoothed. */
+function smoothing() {
+  const range = element("input", { type: "range", min: 0, max: MOST_SMOOTH, step: 0.05, value: state.smooth });
+  const output = element("output", {}, String(state.smooth));
+  range.addEventListener("input", () => {
+    state.smooth = Number(range.value);
+    output.textContent = String(state.smooth);
+    remember();
+    showLosses();
+  });
+  return element("label", {}, "Smoothing", range, output);
+}
+
+/** The exponential means of points: each mean is the weighted mean of the point and of those before. */
+function smoothed(points, weight) {
+  let [sum, weights] = [0, 0];
+  return points.map((point) => {
+    if (typeof point.y !== "number") return point;
+    [sum, weights] = [weight * sum + point.y, weight * weights + 1];
+    return { ...point, y: sum / weights };
+  });
+}
+
 /** A chart of a term's losses. The colors distinguish runs, or the splits of a single run. */
 function lossContent(runs, { task, term }) {
   const series = runs.flatMap((run, place) => {
     const rows = rowsOf(run.losses).filter((row) => row.task === task && row.term === term);
-    return distinct(rows.map((row) => row.split)).map((split) => ({
-      name: runs.length === 1 ? split : `${run.name.split("/")[1]} ${split}`,
-      color: COLORS[runs.length === 1 ? Number(split !== "train") : place],
-      dash: split === "train" ? "dashed" : undefined,
-      line: true,
-      points: rows.filter((row) => row.split === split).map((row) => ({ x: row.epoch, y: row.value })),
-    }));
+    return distinct(rows.map((row) => row.split)).flatMap((split) => {
+      const points = rows.filter((row) => row.split === split).map((row) => ({ x: row.epoch, y: row.value }));
+      const color = COLORS[runs.length === 1 ? Number(split !== "train") : place];
+      const name = runs.length === 1 ? split : `${run.name.split("/")[1]} ${split}`;
+      const line = { name, color, dash: split === "train" ? "dashed" : undefined, line: true, points: smoothed(points, state.smooth) };
+      return state.smooth ? [{ color, entry: name, kind: "dot", alpha: 0.3, behind: true, points }, line] : [line];
+    });
   });
   return { title: `${task}: ${term}`, x: { label: "epoch", low: 1, whole: true }, y: { label: "loss", logarithmic: true }, series };
 }
@@ -399,9 +656,9 @@ function metricsTable(runs) {
   const key = (row) => [row.task, row.modality, row.metric, row.model].join(" ");
   const keys = distinct(runs.flatMap((run) => overall(run).map(key)));
   const parts = keys.map((text) => text.split(" "));
-  const better = parts.map(([, , metric]) => (metric === "r2" ? "higher is better" : "lower is better"));
+  const better = Object.assign({}, ...runs.map((run) => run.better));
   const columns = ["task", "modality", "metric", "model"].map((name, index) => ({ name, values: parts.map((part) => part[index]) }));
-  columns.push({ name: "direction", values: better });
+  columns.push({ name: "direction", values: parts.map(([, , metric]) => betterWords(better[metric])) });
   for (const run of runs) {
     const values = new Map(overall(run).map((row) => [key(row), row.value]));
     columns.push({ name: run.name, values: keys.map((text) => values.get(text) ?? null) });

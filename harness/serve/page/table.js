@@ -17,9 +17,9 @@ const COMPARISONS = {
 
 /**
  * Parses a filter. Its terms are separated by spaces, and all of them must match. A term is a part of a name, or a
- * comparison of a column: `latent=64`, `status!=failed`, `"contact_force r2">0.5`. A part of a name with such a sign or a
- * space is quoted. Returns a function of a row's number,
- * or throws a message.
+ * comparison of a column: `latent=64`, `status!=failed`, `"contact_force r2">0.5`. A run has several tags, of which `tags=`
+ * compares each. A part of a name with such a sign or a space is quoted. Returns a function of a row's number, or throws a
+ * message.
  */
 function parseFilter(text, columns) {
   const terms = text.match(/(?:"[^"]*"|[^\s"])+/g) ?? [];
@@ -27,13 +27,16 @@ function parseFilter(text, columns) {
     const parts = /^("[^"]*"|[^\s"=!<>]+)(!=|>=|<=|=|<|>)(.*)$/.exec(term);
     if (!parts) {
       const wanted = term.replaceAll('"', "").toLowerCase();
-      const texts = columns.filter((column) => ["experiment", "run", "variant"].includes(column.name));
+      const texts = columns.filter((column) => ["experiment", "run", "variant", "tags"].includes(column.name));
       return (row) => texts.some((column) => String(column.values[row] ?? "").toLowerCase().includes(wanted));
     }
     const [name, sign, wanted] = [parts[1].replaceAll('"', ""), parts[2], parts[3].replaceAll('"', "")];
     const column = columns.find((column) => column.name.toLowerCase() === name.toLowerCase());
     if (!column) throw new Error(`there is no column ${name}`);
     const compare = COMPARISONS[sign];
+    if (column.name === "tags" && ["=", "!="].includes(sign)) {
+      return (row) => (column.values[row] ?? "").split(" ").includes(wanted) === (sign === "=");
+    }
     const asNumber = Number(wanted);
     if (isNumeric(column) && wanted !== "" && !Number.isNaN(asNumber)) {
       return (row) => typeof column.values[row] === "number" && compare(column.values[row], asNumber);
@@ -53,6 +56,12 @@ function meanOf(numbers) {
 
 /** A mean with its standard deviation in words. */
 const meanText = ({ mean, deviation }) => (deviation === null ? shown(mean) : `${shown(mean)} ± ${shown(Number(deviation.toPrecision(2)))}`);
+
+/** Whether higher values of a metric are better, in words; null if that is unknown, as for a user's metric. */
+const betterWords = (better) => (typeof better === "boolean" ? `${better ? "higher" : "lower"} is better` : null);
+
+/** An arrow that says whether higher values of a metric are better; nothing if that is unknown. */
+const betterArrow = (better) => (typeof better === "boolean" ? (better ? " ↑" : " ↓") : "");
 
 /** The height of a row in pixels, as in the style sheet. */
 const ROW_HEIGHT = 28;
@@ -77,12 +86,11 @@ class BigTable {
   show(columns, rows, sort) {
     Object.assign(this, { columns, rows });
     const title = (column) => {
-      const better = column.better === undefined ? "" : column.better ? " ↑" : " ↓";
       const arrow = sort.name === column.name ? (sort.down ? " ▼" : " ▲") : "";
-      const button = element("button", { type: "button" }, `${column.name}${better}${arrow}`);
+      const button = element("button", { type: "button" }, `${column.name}${betterArrow(column.better)}${arrow}`);
       button.addEventListener("click", () => this.sorted(column.name));
       const direction = sort.name !== column.name ? "none" : sort.down ? "descending" : "ascending";
-      const explained = column.better === undefined ? {} : { title: column.better ? "higher is better" : "lower is better" };
+      const explained = betterWords(column.better) ? { title: betterWords(column.better) } : {};
       return element("th", { "aria-sort": direction, scope: "col", class: isNumeric(column) ? "number" : "", ...explained }, button);
     };
     this.head.replaceChildren(element("tr", {}, element("th", { scope: "col" }, ""), ...columns.map(title)));
