@@ -55,6 +55,7 @@ STEPPING_ROUNDS = 3
 POSES = 100  # random poses of the arm, of which frames are rendered
 RENDERING_ROUNDS = 5
 LARGER = 640  # pixels, width and height of a larger buffer
+FACTORS = (2, 4)  # width and height of larger frames, in those of the models' frames
 
 SENSOR_MOVES = 100
 SENSOR_RADIUS = 0.2  # m, of a sphere around each link, which contains all contacts of the link
@@ -372,22 +373,27 @@ def rendering():
         "an infinite ground": infinite,
         f"`offwidth`, `offheight` {LARGER}": larger,
     }
+    side = changed().visual.global_.offwidth
+    sides = {name: side for name in variants}
+    for factor in FACTORS:
+        name = f"frames of {factor * side} x {factor * side} pixels"
+        variants[name], sides[name] = changed(), factor * side
+        variants[name].visual.global_.offwidth = variants[name].visual.global_.offheight = factor * side
     rows, own = [], None
     for name, spec in variants.items():
-        seconds = frame_seconds(spec.compile())
+        seconds = frame_seconds(spec.compile(), sides[name])
         own = own or seconds
         rows.append([name, number(1 / seconds), f"{seconds / own:.1f}"])
     print_table(["settings", "frames in a second", "time of a frame, in those of the models' settings"], rows)
 
 
-def frame_seconds(model):
-    """Returns the processor time of a frame of 64 x 64 pixels, s: the least of some rounds over random poses."""
-    own = load("cluttered").visual.global_
+def frame_seconds(model, side):
+    """Returns the processor time of a frame of side x side pixels, s: the least of some rounds over random poses."""
     data, poses = at_rest(model), []
     for setpoint in random_setpoints(model, POSES)[1:]:
         data.qpos[: model.nu] = setpoint
         poses.append(data.qpos.copy())
-    with mujoco.Renderer(model, own.offheight, own.offwidth) as renderer:
+    with mujoco.Renderer(model, side, side) as renderer:
         times = []
         for _ in range(RENDERING_ROUNDS):
             spent = 0
