@@ -144,9 +144,9 @@ pub struct SceneRenderer<'s> {
 
 /// What draws a picture.
 enum Eye {
-    Camera(Camera),
+    Camera(Box<Camera>),
     /// The image of a modality that encodes depth or classes.
-    Sight(Sight, Code),
+    Sight(Box<Sight>, Code),
 }
 
 impl<'s> SceneRenderer<'s> {
@@ -189,7 +189,7 @@ impl<'s> SceneRenderer<'s> {
             name.is_none_or(|name| recorded.modality.name() == name || cameras[recorded.camera] == name)
         };
         if let Some((of, coded)) = name.and_then(|name| scene.coded(name)) {
-            let eye = Eye::Sight(Sight::new(scene, of)?, coded.code.clone());
+            let eye = Eye::Sight(Box::new(Sight::new(scene, of)?), coded.code.clone());
             let [rows, columns] = of.size.map(|side| side as u32);
             return Ok(Self::with_eye(scene, scene.model.clone(), Some(of.camera), eye, [columns, rows]));
         }
@@ -240,7 +240,7 @@ impl<'s> SceneRenderer<'s> {
         size: [u32; 2],
     ) -> Result<Self, SimulationError> {
         let model = Arc::new(model);
-        let eye = Eye::Camera(Camera::for_model(&model, scene, view, size[0], size[1])?);
+        let eye = Eye::Camera(Box::new(Camera::for_model(&model, scene, view, size[0], size[1])?));
         Ok(Self::with_eye(scene, model, view, eye, size))
     }
 

@@ -30,11 +30,14 @@ thread_local! {
     /// This thread's cameras. An OpenGL context belongs to the thread that created it, but a simulation can move
     /// between threads.
     static CAMERAS: RefCell<BTreeMap<(usize, Modality), Camera>> = const { RefCell::new(BTreeMap::new()) };
-    /// This thread's renderers of depths and segmentations, by scene, camera and size.
-    static SIGHTS: RefCell<BTreeMap<(usize, usize, [usize; 2]), Sight>> = const { RefCell::new(BTreeMap::new()) };
+    /// This thread's renderers of depths and segmentations.
+    static SIGHTS: RefCell<BTreeMap<View, Sight>> = const { RefCell::new(BTreeMap::new()) };
     /// The renderer that this thread used last, with its scene and size. The next picture most likely has the same.
     static RENDERER: RefCell<Option<(Picture, Box<SceneRenderer<'static>>)>> = const { RefCell::new(None) };
 }
+
+/// Identifies what a camera sees: the scene, the camera, and the rows and columns in pixels.
+type View = (usize, usize, [usize; 2]);
 
 /// Identifies a renderer: the scene, and the width and height in pixels.
 type Picture = (usize, u32, u32);
