@@ -14,6 +14,7 @@ const SOURCES: &[&str] = &[
     "../figures",
     "../judge",
     "../kernels",
+    "../layout",
     "../learning",
     "../metrics",
     "../ops",
