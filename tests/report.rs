@@ -635,8 +635,8 @@ fn an_ablation_has_one_table_of_metrics_as_compare() {
         assert!(cells[column].starts_with(&value), "{mean}: {cells:?}");
         compared += 1;
     }
-    // Three metrics of the joints in each of two units, of the forces and of the image, for three inputs. Of forces that
-    // are all zero, no R2 is defined.
+    // Three metrics of the joints in each of two units, of the forces and of the image, for three inputs. Of forces
+    // that are all zero, no R2 is defined.
     assert!(compared >= 3 * (3 * 2 + 2 + 3), "{compared}");
 }
 
