@@ -348,7 +348,7 @@ fn predictions_from_a_time_on_have_metrics_of_their_own() {
         let expected = format!(
             "select task, modality, horizon, sqrt(sum(squared) / sum(n)) as rmse, sum(absolute) / sum(n) as mae,
                     1 - sum(case when spread > 0 then squared end) / sum(spread) as r2
-             from (select task, modality, horizon, count(*) as n, var_pop(reference) * count(*) as spread,
+             from (select task, modality, horizon, count(*) as n, variance(reference) * (count(*) - 1) as spread,
                           sum(pow(predicted - reference, 2)) as squared, sum(abs(predicted - reference)) as absolute
                    from all_predictions where sample >= {} group by task, modality, horizon, index)
              group by task, modality, horizon order by task, modality, horizon",

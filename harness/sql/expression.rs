@@ -548,6 +548,7 @@ impl<'a> Binder<'a> {
         if functions::OVER_ORDER.contains(&&*name) {
             return refuse!("{name} needs OVER (ORDER BY …)");
         }
+        functions::check_name(&name)?;
         if name == "coalesce" {
             return functions::call(&name, self.alternatives(&arguments)?, true);
         }

@@ -150,19 +150,32 @@ pub fn call(name: &str, arguments: Vec<Value>, strict: bool) -> Answer<Value> {
         }
         "upper" | "lower" | "length" | "substr" | "left" | "right" | "replace" | "starts_with"
         | "ends_with" | "contains" | "split_part" => of_text(name, arguments),
-        _ if has(OF_DATES, name) => no_dates(name),
-        _ => {
-            if let Some((_, instead)) = ELSEWHERE.iter().find(|(names, _)| has(names, name)) {
-                return refuse!("there is no function '{name}'; write {instead}");
-            }
-            let real = REAL.iter().map(|(name, _)| *name);
-            let names: Vec<&str> =
-                real.chain(OTHER.split(' ')).chain(AGGREGATES.split(' ')).chain(OVER_ORDER).collect();
-            match nearest(name, &names) {
-                Some(known) => refuse!("there is no function '{name}'; did you mean '{known}'?"),
-                None => refuse!("there is no function '{name}'; there are {}", names.join(", ")),
-            }
-        }
+        _ => unknown(name),
+    }
+}
+
+/// Refuses the name of a function of one row that does not exist, whatever its arguments are.
+pub fn check_name(name: &str) -> Answer<()> {
+    match REAL.iter().any(|(known, _)| *known == name) || has(OTHER, name) {
+        true => Ok(()),
+        false => unknown(name),
+    }
+}
+
+/// Refuses a function that does not exist, and says what to write instead.
+fn unknown<T>(name: &str) -> Answer<T> {
+    if has(OF_DATES, name) {
+        return no_dates(name);
+    }
+    if let Some((_, instead)) = ELSEWHERE.iter().find(|(names, _)| has(names, name)) {
+        return refuse!("there is no function '{name}'; write {instead}");
+    }
+    let real = REAL.iter().map(|(name, _)| *name);
+    let names: Vec<&str> =
+        real.chain(OTHER.split(' ')).chain(AGGREGATES.split(' ')).chain(OVER_ORDER).collect();
+    match nearest(name, &names) {
+        Some(known) => refuse!("there is no function '{name}'; did you mean '{known}'?"),
+        None => refuse!("there is no function '{name}'; there are {}", names.join(", ")),
     }
 }
 

@@ -1985,6 +1985,9 @@ select strftime(started, '%Y-%m') from runs
 -- refuse: intervals | is about dates, and no table has any
 select started - interval '1 day' from runs
 
+-- refuse: the name of a function in a query with groups | there is no function 'var_pop'; write stddev or variance, which are those of a sample
+select metric, var_pop(value) as a from metrics group by metric
+
 -- refuse: a logarithm without a base | there is no function 'log'; write log10, or ln for the natural logarithm
 select log(parameters) from runs
 
