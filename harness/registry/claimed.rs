@@ -1,5 +1,6 @@
 //! The right to write into the folder of a run.
 
+use super::command_line::without_results;
 use super::record::IN_ITS_PLACE;
 use super::{
     FileRecord, Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status,
@@ -212,8 +213,8 @@ impl Claimed<'_> {
     }
 
     /// Writes a published copy of a run to its folder in this registry: whole files by name, and rows of tables. A
-    /// table without rows has no file. Removes the file of the lock, because copies are meant for version control.
-    /// Returns the record of the copy.
+    /// table without rows has no file. Removes the file of the lock, because copies are meant for version control, and
+    /// leaves `--results` out of the recorded command. Returns the record of the copy.
     ///
     /// # Errors
     /// When a file can't be written.
@@ -223,7 +224,9 @@ impl Claimed<'_> {
         whole: Vec<(String, Vec<u8>)>,
         tables: Vec<(Table, DataFrame)>,
     ) -> Result<RunRecord, RegistryError> {
-        let copied = self.write_copy(record, whole, tables);
+        let command = without_results(&record.provenance.command);
+        let provenance = Provenance { command, ..record.provenance.clone() };
+        let copied = self.write_copy(&RunRecord { provenance, ..record.clone() }, whole, tables);
         self.lock.remove(&self.folder.path);
         copied
     }

@@ -37,3 +37,20 @@ pub(super) fn command_of(command: &str, spec: &RunSpec) -> String {
     let own: Vec<String> = words.iter().map(|word| spec.own_override(word)).collect();
     quoted(own.iter().map(String::as_str))
 }
+
+/// The command without its option `--results`, which may name a folder of the machine. Published copies of runs keep
+/// such a command, because they lie in another folder.
+pub(super) fn without_results(command: &str) -> String {
+    const OPTION: &str = "--results";
+    let Some(words) = shlex::split(command) else { return command.to_owned() };
+    let mut words = words.iter().map(String::as_str);
+    let mut kept = Vec::new();
+    while let Some(word) = words.next() {
+        match word.strip_prefix(OPTION) {
+            Some("") => drop(words.next()),
+            Some(value) if value.starts_with('=') => {}
+            _ => kept.push(word),
+        }
+    }
+    quoted(kept)
+}

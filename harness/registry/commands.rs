@@ -181,7 +181,7 @@ impl Asked {
                 "--quick" => asked.quick = true,
                 // Earlier versions read other models from a folder; runs with them can't be made again.
                 option if option.starts_with("--models") => return None,
-                "--results" | "--threads" | "--jobs" => drop(words.next()),
+                "--results" | "--threads" | "--jobs" | "--where" => drop(words.next()),
                 option if option.starts_with('-') => {}
                 setting if setting.contains('=') => asked.overrides.push(word),
                 path => asked.spec = path.into(),

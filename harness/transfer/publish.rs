@@ -38,10 +38,10 @@ pub struct Published {
 /// Copies `chosen` runs of a registry to the registry `to`: records, specs and tables, and their networks if
 /// `networks` is true. Tables about single samples are copied without most of their rows.
 ///
-/// All epochs and metrics are copied. Of each cell's lowest seed, the predictions of the last two joints and links
-/// and all images are copied. The forces are copied of one run for each dataset. Of runs with a `variant`, only
-/// epochs and metrics are copied; of runs under a reading, also the forces of one run for each dataset, reading and
-/// role. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
+/// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
+/// joints and links and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
+/// images are copied. The forces are copied of one run for each dataset, reading and role. A run of the same cell and
+/// seed that was published before is replaced, unless it is one of `chosen` too.
 ///
 /// # Errors
 /// When `to` is the same registry or has such a run that is not a published copy, a process works on a copy, or a file
@@ -102,8 +102,8 @@ fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
 
 /// Of which runs single samples are kept.
 struct Shown {
-    /// The lowest seed of each cell of an experiment.
-    seeds: BTreeMap<Cell, u64>,
+    /// The lowest seeds of the dataset and the run of each cell of an experiment.
+    seeds: BTreeMap<Cell, (u64, u64)>,
     /// The run that the forces of a dataset are kept of.
     forces: BTreeMap<ForcesOf, String>,
 }
@@ -112,14 +112,11 @@ impl Shown {
     fn of<'a>(records: impl Iterator<Item = &'a RunRecord>) -> Self {
         let mut shown = Self { seeds: BTreeMap::new(), forces: BTreeMap::new() };
         for record in records {
-            let is_plain = record.spec.variant.is_empty();
-            if is_plain {
-                let lowest = shown.seeds.entry(cell(record)).or_insert(record.spec.seed);
-                *lowest = record.spec.seed.min(*lowest);
+            if record.spec.variant.is_empty() || record.spec.reading().is_some() {
+                let lowest = shown.seeds.entry(cell(record)).or_insert(seeds(record));
+                *lowest = seeds(record).min(*lowest);
             }
-            if is_plain || record.spec.reading().is_some() {
-                shown.forces.entry(forces_of(record)).or_insert_with(|| record.run.clone());
-            }
+            shown.forces.entry(forces_of(record)).or_insert_with(|| record.run.clone());
         }
         shown
     }
@@ -135,7 +132,7 @@ impl Shown {
 
     /// The rows of a run's table that are kept.
     fn keep(&self, table: Table, record: &RunRecord, rows: DataFrame) -> PolarsResult<DataFrame> {
-        let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&record.spec.seed);
+        let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&seeds(record));
         match table {
             Table::Predictions | Table::AllPredictions if is_lowest_seed => {
                 let is_last = record.layout.modalities.iter().map(|definition| {
@@ -151,6 +148,11 @@ impl Shown {
             _ => Ok(rows),
         }
     }
+}
+
+/// The seeds of a run's dataset and of the run.
+fn seeds(record: &RunRecord) -> (u64, u64) {
+    (record.spec.dataset_seed(), record.spec.seed)
 }
 
 /// An experiment, the name of one of its cells, and the world of the cell's runs.
