@@ -300,7 +300,9 @@ fn axes_have_units() {
         let words = words(figure);
         expected.iter().for_each(|text| assert!(words.contains(*text), "{text} is not among {words:?}"));
     };
-    has(Figure::PredictionResults, &["proprioception, SMAPE (%)", "contact force, WMAPE (%)", "latent size"]);
+    let errors =
+        ["proprioception, SMAPE (%)", "contact force, WMAPE (%)", "contact force, R²", "latent size"];
+    has(Figure::PredictionResults, &errors);
     has(Figure::ReconstructionPerformance, &["proprioception, SMAPE (%)", "latent size"]);
     let forces = ["samples in contact (%)", "force in contact (N)", "samples with ≥ force (%)", "force (N)"];
     has(Figure::ForcesDataset, &forces);
@@ -356,9 +358,10 @@ fn curves_are_means_and_intervals_of_what_a_query_finds() {
 fn panels_say_what_bars_are_over_and_what_predicting_zero_gives() {
     for figure in [Figure::PredictionResults, Figure::ReconstructionPerformance] {
         let svg = svg(figure);
-        let panels = if figure == Figure::PredictionResults { 4 } else { 2 };
+        let panels = if figure == Figure::PredictionResults { 6 } else { 2 };
         assert_eq!(svg.matches("bars: 95 % over 2 seeds").count(), panels);
-        // A black dashed line across a panel, or a note with an arrow where it lies above.
+        // A black dashed line across a panel, or a note with an arrow where it lies above. For R², it is that of the
+        // mean.
         let line = svg.matches("stroke=\"#1a1a1a\" stroke-width=\"0.6\" stroke-dasharray").count();
         assert_eq!(line + svg.matches("predicting zero: 100 %").count(), panels, "{}", figure.name());
     }

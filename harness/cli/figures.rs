@@ -11,8 +11,10 @@ use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
 use harness::figures::{Drawing, Figure, FigureError, Format};
 use harness::registry::Registry;
+use harness::spec::QUICK;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::str::FromStr;
 
 #[derive(Args)]
 pub struct Figures {
@@ -37,6 +39,10 @@ pub struct Figures {
     /// Draw this experiment instead of multi_to_multi, for example multi_to_multi_best
     #[arg(long, value_name = "EXPERIMENT")]
     multi: Option<String>,
+    /// Draw the runs under this reading of an experiment instead of single_to_multi and multi_to_multi, for example
+    /// paper/recommended
+    #[arg(long, value_name = "EXPERIMENT/READING", conflicts_with_all = ["single", "multi", "experiment"])]
+    reading: Option<OfReading>,
     /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
     /// contact_force, or the first modality where it is not predicted]
     #[arg(long, value_name = "NAME")]
@@ -44,6 +50,25 @@ pub struct Figures {
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+}
+
+/// A reading of an experiment: `paper/recommended`.
+#[derive(Clone)]
+struct OfReading {
+    experiment: String,
+    reading: String,
+}
+
+impl FromStr for OfReading {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let named = text
+            .split_once('/')
+            .filter(|(experiment, reading)| !experiment.is_empty() && !reading.is_empty());
+        let (experiment, reading) = named.ok_or("write EXPERIMENT/READING, for example paper/recommended")?;
+        Ok(Self { experiment: experiment.to_owned(), reading: reading.to_owned() })
+    }
 }
 
 /// A parser for names of figures, whose error lists all names.
@@ -68,9 +93,12 @@ impl Figures {
             return self.draw(|figure| figure.render_of(&analysis, experiment, self.modality.clone()));
         }
         let paper = Experiments::of_the_paper(self.quick);
+        let quick = if self.quick { QUICK } else { "" };
+        let of_reading = self.reading.as_ref().map(|of| format!("{}{quick}", of.experiment));
+        let named = |own: &Option<String>| of_reading.clone().or_else(|| own.clone());
         let experiments = Experiments {
-            single_to_multi: self.single.clone().unwrap_or_else(|| paper.single_to_multi.clone()),
-            multi_to_multi: self.multi.clone().unwrap_or_else(|| paper.multi_to_multi.clone()),
+            single_to_multi: named(&self.single).unwrap_or_else(|| paper.single_to_multi.clone()),
+            multi_to_multi: named(&self.multi).unwrap_or_else(|| paper.multi_to_multi.clone()),
             ..paper
         };
         let names = experiments.all();
@@ -80,7 +108,8 @@ impl Figures {
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let source = Source::new(&analysis, experiments).showing(self.modality.clone());
+        let reading = self.reading.as_ref().map(|of| of.reading.clone());
+        let source = Source::new(&analysis, experiments).showing(self.modality.clone()).under(reading);
         self.draw(|figure| figure.render(&source))
     }
 

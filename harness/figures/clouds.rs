@@ -51,7 +51,7 @@ pub(super) struct Cloud<'a> {
 }
 
 /// Draws the points of a panel's elements in the looks of [`LOOKS`], their R² above the panel, and the latent size in
-/// it. An element without points keeps its look and its line of text.
+/// it. An element without points keeps its look and its line of text. A point beyond an axis is drawn at its end.
 pub(super) fn draw(
     page: &mut Page,
     panel: &Panel,
@@ -61,7 +61,7 @@ pub(super) fn draw(
 ) {
     for (line, (look, cloud)) in LOOKS.iter().zip(clouds).enumerate() {
         let Some(Cloud { points, r2 }) = cloud else { continue };
-        let places: Vec<_> = points.iter().map(|[r, p]| [x.at(*r), y.at(*p)]).collect();
+        let places: Vec<_> = points.iter().map(|[r, p]| [x.at(x.clamp(*r)), y.at(y.clamp(*p))]).collect();
         page.cloud(look.mark, &places, 1.2, look.color, 0.4);
         if let Some(r2) = r2 {
             let at = [panel.left + 3.0, panel.top - 3.0 - LINE * (clouds.len() - 1 - line) as f64];

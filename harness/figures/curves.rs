@@ -13,6 +13,10 @@ use std::collections::BTreeMap;
 
 /// The error of predicting zero, %. By SMAPE and by WMAPE, it is as large as the reference.
 const ZERO: f64 = 100.0;
+/// The highest R², that of predictions without an error.
+const PERFECT: f64 = 1.0;
+/// The lowest R² that the axis includes.
+const LOWEST_R2: f64 = -1.0;
 
 /// Describes what a panel shows.
 pub struct Curves<'a> {
@@ -22,7 +26,7 @@ pub struct Curves<'a> {
     pub task: Task,
     /// The modality whose error is shown.
     pub modality: Modality,
-    /// The error's metric, in percent.
+    /// The metric: an error in percent, or R².
     pub metric: Metric,
     /// The panel's letter.
     pub letter: &'static str,
@@ -96,6 +100,10 @@ impl Curves<'_> {
         Ok(Measured { of: self, latents: self.runs.latents(), curves, data })
     }
 
+    fn is_r2(&self) -> bool {
+        self.metric == Metric::R2
+    }
+
     fn data(&self, curves: &[Curve]) -> Result<DataFrame, FigureError> {
         let mut rows: Vec<(&Curve, &str, Option<usize>, Interval)> = Vec::new();
         for curve in curves {
@@ -112,7 +120,7 @@ impl Curves<'_> {
             "task" => vec![self.task.name(); rows.len()],
             "modality" => vec![self.modality.name(); rows.len()],
             "metric" => vec![self.metric.name(); rows.len()],
-            "unit" => vec!["%"; rows.len()],
+            "unit" => vec![if self.is_r2() { "1" } else { "%" }; rows.len()],
             "scenario" => rows.iter().map(|row| row.0.scenario.name()).collect::<Vec<_>>(),
             "direction" => rows.iter().map(|row| row.0.direction.name()).collect::<Vec<_>>(),
             "model" => rows.iter().map(|row| row.1).collect::<Vec<_>>(),
@@ -138,6 +146,12 @@ impl Measured<'_> {
         self.values().map(|value| value.high().min(mean * 1.3)).fold(mean, f64::max)
     }
 
+    /// The lowest value on the vertical axis: 0 for errors. For R², the axis includes every mean above [`LOWEST_R2`].
+    fn lowest(&self) -> f64 {
+        let means = self.values().map(|value| value.mean);
+        if self.of.is_r2() { means.fold(0.0, f64::min).max(LOWEST_R2) } else { 0.0 }
+    }
+
     /// Whether an end of an interval lies beyond the axis.
     fn is_cut(&self, scale: &Scale) -> bool {
         self.values().any(|value| scale.cuts(value))
@@ -148,9 +162,10 @@ impl Measured<'_> {
     fn render(&self, page: &mut Page, panel: &Panel, scale: &Scale, label: Option<&str>) {
         panel.left_axis(page, scale, label);
         let note = Type::SMALL.color(GRAY);
-        if scale.clamp(ZERO) == ZERO {
-            let zero = scale.at(ZERO);
-            page.line([panel.left, zero], [panel.right(), zero], Stroke::new(BLACK, 0.6).dashed());
+        let line = if self.of.is_r2() { 0.0 } else { ZERO };
+        if scale.clamp(line) == line {
+            let y = scale.at(line);
+            page.line([panel.left, y], [panel.right(), y], Stroke::new(BLACK, 0.6).dashed());
         } else {
             let text = format!("predicting zero: {ZERO} %");
             let [x, y] = [panel.left + 3.0, panel.top + 9.0];
@@ -160,7 +175,9 @@ impl Measured<'_> {
         }
         let over = self.of.runs.replicates();
         let bars = over.map_or("one seed, no bars".to_owned(), |over| format!("bars: 95 % over {over}"));
-        page.text(&bars, [panel.left + 3.0, panel.bottom() - 3.0], note.start());
+        // Small errors are low, and large R² are high: the note takes the end of the axis that has room.
+        let y = if self.of.is_r2() { panel.top + 6.0 } else { panel.bottom() - 3.0 };
+        page.text(&bars, [panel.left + 3.0, y], note.start());
         let mut names: Vec<String> = self.latents.iter().map(usize::to_string).collect();
         names.extend(self.of.baseline.map(|(_, name)| name.to_owned()));
         let slots = panel.slots(names.len());
@@ -177,8 +194,11 @@ impl Measured<'_> {
             let aside = (place as f64 - 1.5) * width * 0.17;
             let look = look_of(color_of(curve.scenario), curve.direction);
             let at = |latent: &usize| slots[self.latents.binary_search(latent).unwrap_or_default()] + aside;
-            let points: Vec<_> =
-                curve.network.iter().map(|(latent, value)| [at(latent), scale.at(value.mean)]).collect();
+            let points: Vec<_> = curve
+                .network
+                .iter()
+                .map(|(latent, value)| [at(latent), scale.at(scale.clamp(value.mean))])
+                .collect();
             look.path(page, &points);
             for (latent, value) in &curve.network {
                 look.point(page, at(latent), scale, value);
@@ -205,14 +225,18 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
     }
 }
 
-/// Draws two panels side by side, with one vertical scale. Returns whether an end of an interval lies beyond the axis.
+/// Draws two panels of one metric side by side, with one vertical scale. Returns whether an end of an interval lies beyond the axis.
 pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], label: &str) -> bool {
     let left = Panel { left: 33.0, top, width: 97.0, height };
     let right = Panel { left: left.right() + 10.0, ..left };
-    let highest = panels[0].highest().max(panels[1].highest());
-    // If the error of predicting zero lies far above the axis, a note about it needs room at the top.
-    let highest = if highest < 0.75 * ZERO { highest * 1.15 } else { highest.max(ZERO) };
-    let scale = Scale::linear(0.0, highest, 5, left.upwards());
+    let highest = match panels[0].highest().max(panels[1].highest()) {
+        _ if panels[0].of.is_r2() => PERFECT,
+        // If the error of predicting zero lies far above the axis, a note about it needs room at the top.
+        highest if highest < 0.75 * ZERO => highest * 1.15,
+        highest => highest.max(ZERO),
+    };
+    let lowest = panels[0].lowest().min(panels[1].lowest());
+    let scale = Scale::linear(lowest, highest, 5, left.upwards());
     panels[0].render(page, &left, &scale, Some(label));
     panels[1].render(page, &right, &scale, None);
     panels.iter().any(|panel| panel.is_cut(&scale))
@@ -221,7 +245,7 @@ pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], la
 /// Writes remarks below the panels, one per line from `y` on. The first explains the bars.
 pub fn remarks(page: &mut Page, y: f64, is_cut: bool, lines: &[&str]) {
     let bars = match is_cut {
-        true => "bars: 95 % intervals of the mean; without a cap, they go on beyond the axis",
+        true => "bars: 95 % intervals of the mean; what has no cap goes on beyond the axis",
         false => "bars: 95 % intervals of the mean, by Student's t",
     };
     axes::remarks(page, y, [bars].iter().chain(lines));

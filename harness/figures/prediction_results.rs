@@ -27,20 +27,26 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let b = curves(&single, force, Metric::Wmape, "b");
     let c = curves(&multi, body, Metric::Smape, "c");
     let d = curves(&multi, force, Metric::Wmape, "d");
+    // The paper has no such panels.
+    let e = curves(&single, force, Metric::R2, "e");
+    let f = curves(&multi, force, Metric::R2, "f");
     let [a, b, c, d] = [a.measure()?, b.measure()?, c.measure()?, d.measure()?];
+    let [e, f] = [e.measure()?, f.measure()?];
 
-    let mut page = Page::new(COLUMN, 291.0, "Prediction errors over latent size");
+    let mut page = Page::new(COLUMN, 418.0, "Prediction errors over latent size");
     explain(&mut page, COLUMN / 2.0, 9.0);
     let is_cut = [
         pair(&mut page, [34.0, HEIGHT], [&a, &c], "proprioception, SMAPE (%)"),
         pair(&mut page, [152.0, HEIGHT], [&b, &d], "contact force, WMAPE (%)"),
+        pair(&mut page, [270.0, HEIGHT], [&e, &f], "contact force, R²"),
     ];
     let lines = [
-        "pers.: the next value is the present one; dashed, arrow: predicting zero",
-        "b, d: the force on links with such joints, from any side;",
+        "pers.: the next value is the present one",
+        "dashed, arrow: predicting zero (a to d), predicting the mean (e, f)",
+        "b, d, e, f: the force on links with such joints, from any side;",
         "adduction/abduction has the tip",
     ];
-    remarks(&mut page, 263.0, is_cut.contains(&true), &lines);
-    let data = stack(&[&a, &b, &c, &d])?;
+    remarks(&mut page, 381.0, is_cut.contains(&true), &lines);
+    let data = stack(&[&a, &b, &c, &d, &e, &f])?;
     Ok(Drawing { page, data })
 }

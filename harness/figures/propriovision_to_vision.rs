@@ -56,8 +56,16 @@ struct Block {
     /// Numbers of rows and columns of the camera's pictures, pixels.
     size: [usize; 2],
     trials: Vec<Trial>,
-    /// Squared error relative to that of predicting no change, by latent size.
-    errors: BTreeMap<i64, Interval>,
+    /// Errors by latent size.
+    errors: BTreeMap<i64, RelativeError>,
+}
+
+/// The squared error of the predicted change relative to that of predicting no change.
+struct RelativeError {
+    /// The mean over all networks.
+    mean: Interval,
+    /// The error of the network whose predictions are shown.
+    shown: Option<f64>,
 }
 
 /// Draws the figure.
@@ -82,7 +90,7 @@ fn draw(runs: &Runs, image: Modality, camera: Modality) -> Result<Drawing, Figur
     let blocks = blocks(runs, image, camera)?;
     let width = blocks.iter().map(Block::width).fold(f64::INFINITY, f64::min);
     let height: f64 = blocks.iter().map(|block| block.height(width)).sum();
-    let mut page = Page::new(COLUMN, height + 60.0, "Predicted change of the camera's picture");
+    let mut page = Page::new(COLUMN, height + 77.0, "Predicted change of the camera's picture");
     let mut top = 0.0;
     for block in &blocks {
         block.render(&mut page, top, width)?;
@@ -90,9 +98,11 @@ fn draw(runs: &Runs, image: Modality, camera: Modality) -> Result<Drawing, Figur
     }
     color_bar(&mut page, top + 5.0)?;
     let lines = [
-        "error: squared, of all test samples, relative to predicting no change",
+        "error: squared, of all test samples, relative to predicting no change;",
+        "mean ± 95 % over all networks; shown: the network of the lowest seed",
+        "on the first dataset, whatever its error",
         "motion: mean absolute change of the image, of white minus black;",
-        "shown: the three kept test samples with the most of it",
+        "samples: the three kept test samples with the most of it",
     ];
     remarks(&mut page, top + 38.0, lines);
     Ok(Drawing { page, data: data(&blocks, runs.experiment.as_str())? })
@@ -158,20 +168,24 @@ impl Block {
                 page.rectangle(corner(row, column), size, 0.0, "none", Some(Stroke::new(GRAY, 0.4)));
             }
         }
-        let mut names: Vec<[String; 2]> = Vec::new();
+        let mut names: Vec<[String; 3]> = Vec::new();
         if has_camera {
-            names.push(["camera".into(), "at *t*".into()]);
+            names.push(["camera".into(), "at *t*".into(), String::new()]);
         }
-        names.push(["reference".into(), "change".into()]);
+        names.push(["reference".into(), "change".into(), String::new()]);
         names.extend(latents.iter().map(|latent| {
             let error = self.errors.get(latent);
-            let error = error.map_or(String::new(), |error| format!("error {}", mean_words(error)));
-            [format!("*z* = {latent}"), error]
+            let words = error.map_or(String::new(), |error| format!("error {}", mean_words(&error.mean)));
+            // With one network, the mean is the error of the network that is shown.
+            let shown = error.filter(|error| error.mean.bounds.is_some()).and_then(|error| error.shown);
+            let shown = shown.map_or(String::new(), |error| format!("shown {error:.2}"));
+            [format!("*z* = {latent}"), words, shown]
         }));
-        for (row, [name, more]) in names.iter().enumerate() {
+        for (row, [name, more, last]) in names.iter().enumerate() {
             let y = corner(row, 0)[1] + (self.row(width) - GAP) / 2.0;
             page.text(name, [LEFT - 4.0, y - 1.0], Type::LABEL.end());
             page.text(more, [LEFT - 4.0, y + 7.0], Type::SMALL.end());
+            page.text(last, [LEFT - 4.0, y + 14.0], Type::SMALL.end());
         }
         Ok(())
     }
@@ -265,17 +279,21 @@ fn change(bytes: Option<&[u8]>, [rows, columns]: [usize; 2]) -> Result<Vec<f32>,
     Ok(bytes.chunks_exact(IMAGE_CHANNELS).map(pixel).collect())
 }
 
-/// Squared error of the frame difference relative to that of predicting no change, by latent size.
-fn errors(runs: &Runs, scenario: &str, image: Modality) -> Result<BTreeMap<i64, Interval>, FigureError> {
-    let rows = runs.query(&format!(
+/// The errors of the predicted change of the image, by latent size.
+fn errors(runs: &Runs, scenario: &str, image: Modality) -> Result<BTreeMap<i64, RelativeError>, FigureError> {
+    let sql = format!(
         "select latent, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
          where scenario = '{scenario}' and task = 'prediction' \
          and modality = '{image}' and model = 'network' and metric = 'relative_error'"
-    ))?;
-    let latents = integers(&rows, "latent")?;
-    Ok(intervals(
-        latents.into_iter().zip(replicated(&rows)?).map(|(latent, (seed, value))| (latent, seed, value)),
-    ))
+    );
+    let (all, first) = (runs.query(&sql)?, runs.query_first_seeds(&sql)?);
+    let values = integers(&all, "latent")?.into_iter().zip(replicated(&all)?);
+    let means = intervals(values.map(|(latent, (seed, value))| (latent, seed, value)));
+    let shown: BTreeMap<i64, Option<f64>> =
+        integers(&first, "latent")?.into_iter().zip(reals(&first, "value")?).collect();
+    let error =
+        |(latent, mean)| (latent, RelativeError { mean, shown: shown.get(&latent).copied().flatten() });
+    Ok(means.into_iter().map(error).collect())
 }
 
 fn color(change: f32) -> Rgb<u8> {

@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 const LINEAR_RAD: f64 = 0.003;
 /// The same limit for the axes of forces.
 const LINEAR_N: f64 = 3.0;
+/// The part of the predictions at each end that may lie beyond the vertical axis.
+const RARE: f64 = 0.002;
 const LEFT: f64 = 33.0;
 const GAP: f64 = 5.0;
 /// Width and height of a panel, points.
@@ -43,7 +45,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let [angles, forces] = [of(Modality::PROPRIOCEPTION, "a")?, of(Modality::CONTACT_FORCE, "b")?];
 
     let leaves_out = angles.iter().any(|study| study.latents.len() > PANELS);
-    let height = if leaves_out { 492.5 } else { 484.0 };
+    let height = if leaves_out { 501.0 } else { 492.5 };
     let mut page = Page::new(COLUMN, height, "Predictions over references at the fingertip, in clutter");
     let tips = tips(&single);
     let axes = Direction::FINGER.map(words_of);
@@ -63,7 +65,8 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
         format!("R²: of all test samples{spread}"),
         format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
         "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
-        format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N"),
+        format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N;"),
+        "predictions beyond the axis are drawn at its end".to_owned(),
     ];
     if leaves_out {
         lines.push(format!("only the {PANELS} smallest latent sizes are drawn; the CSV file has all"));
@@ -97,7 +100,11 @@ impl Block {
             let panel = Panel { top: panel.top + row as f64 * (SIDE + 30.0), ..panel };
             let above = Panel { top: panel.top - 2.0 * LINE, width: COLUMN - panel.left - 4.0, ..panel };
             if row == 0 {
-                above.heading(page, self.letter, &format!("fingertip {}, {}", self.quantity, study.input));
+                above.heading(
+                    page,
+                    self.letter,
+                    &format!("fingertip {} in clutter, {}", self.quantity, study.input),
+                );
             } else {
                 page.text(&study.input, [panel.left - 1.0, above.top - 4.5], Type::LABEL.start());
             }
@@ -115,15 +122,27 @@ impl Block {
         }
     }
 
-    /// The horizontal and the vertical axis of all panels. They include all references and all predictions.
+    /// The horizontal and the vertical axis of all panels. They include all references, and all predictions but the
+    /// [`RARE`] part at each end.
     fn scales(&self, panel: &Panel, studies: &[Predictions; 2]) -> [Scale; 2] {
-        let scale = |axis: usize, ends| {
-            let values =
-                || studies.iter().flat_map(|study| study.points.values().flatten()).map(|at| at[axis]);
-            let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
-            Scale::symmetric(low, high, self.linear, ends)
+        let values = |axis: usize| {
+            let points = studies.iter().flat_map(|study| study.points.values().flatten());
+            let mut values: Vec<f64> = points.map(|at| at[axis]).collect();
+            values.sort_by(f64::total_cmp);
+            values
         };
-        [scale(0, panel.across()), scale(1, panel.upwards())]
+        let (references, predictions) = (values(0), values(1));
+        let ends = |values: &[f64], rare: f64| {
+            let left_out = (values.len() as f64 * rare) as usize;
+            let kept = values.get(left_out..values.len() - left_out).unwrap_or_default();
+            (kept.iter().copied().fold(0.0, f64::min), kept.iter().copied().fold(0.0, f64::max))
+        };
+        let (low, high) = ends(&references, 0.0);
+        let (low_predicted, high_predicted) = ends(&predictions, RARE);
+        [
+            Scale::symmetric(low, high, self.linear, panel.across()),
+            Scale::symmetric(low_predicted.min(low), high_predicted.max(high), self.linear, panel.upwards()),
+        ]
     }
 }
 

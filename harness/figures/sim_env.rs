@@ -1,6 +1,6 @@
 //! Figure of the simulated robot: the three joints of its arm, and the finger close up.
 
-use super::page::{BLACK, BLUE, COLUMN, GREEN, Page, Point, Stroke, Type, WHITE, WINE};
+use super::page::{BLACK, BLUE, COLUMN, Page, Point, Stroke, Type, WHITE, WINE};
 use super::task::{data, label};
 use super::text::Face;
 use super::{Drawing, FigureError};
@@ -81,9 +81,9 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
         .map(|step| (170.0 + 6.0 * f64::from(step)).to_radians())
         .map(|angle| view.at([0.36 * angle.cos(), 0.36 * angle.sin(), 0.16]))
         .collect();
-    double_arrow(page, &arc, BLUE);
+    double_arrow(page, &arc, BLACK);
     let end = arc[arc.len() - 1];
-    page.text("*q*_{1} rotation", [end[0] + 4.0, end[1] + 6.0], name.start().color(BLUE));
+    page.text("*q*_{1} rotation", [end[0] + 4.0, end[1] + 6.0], name.start());
 
     // An arrow beside the upper part of the shaft.
     let beside = |height: f64| {
@@ -92,8 +92,8 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     };
     let (low, high) = (carriage[2] + 0.25, carriage[2] + 0.75);
     let middle = beside((low + high) / 2.0);
-    double_arrow(page, &[beside(low), middle, beside(high)], GREEN);
-    page.text("*q*_{2} lift", [middle[0] + 4.0, middle[1] + 2.5], name.start().color(GREEN));
+    double_arrow(page, &[beside(low), middle, beside(high)], BLACK);
+    page.text("*q*_{2} lift", [middle[0] + 4.0, middle[1] + 2.5], name.start());
 
     // An arrow above the beam.
     let along = |part: f64| {
@@ -103,9 +103,9 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
         }));
         [x - 4.0, y - 8.0]
     };
-    double_arrow(page, &[along(0.3), along(0.65), along(1.0)], WINE);
+    double_arrow(page, &[along(0.3), along(0.65), along(1.0)], BLACK);
     let [x, y] = along(0.75);
-    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end().color(WINE));
+    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end());
 
     label(page, view.geom("finger_link_12")?, [-24.0, 6.0], "finger");
     page.text("a", [3.0, 9.0], Type::BOLD);

@@ -100,6 +100,8 @@ pub struct Source<'a> {
     pub(super) modality: Option<String>,
     /// The variant of the runs that are drawn; `None` for all runs.
     pub(super) variant: Option<String>,
+    /// The reading whose runs stand for the studies; `None` for the experiments' runs.
+    reading: Option<String>,
 }
 
 /// The runs of a study. They differ only in scenario, latent size and seed.
@@ -125,7 +127,12 @@ impl<'a> Source<'a> {
     /// A source of figures. The analysis must have all runs of `experiments` on simulated data, and no other runs of
     /// these experiments.
     pub fn new(analysis: &'a Analysis, experiments: Experiments) -> Self {
-        Self { analysis, experiments, modality: None, variant: None }
+        Self { analysis, experiments, modality: None, variant: None, reading: None }
+    }
+
+    /// The same source, in which the runs of each study are those with the study's role under this reading.
+    pub fn under(self, reading: Option<String>) -> Self {
+        Self { reading, ..self }
     }
 
     /// The same source, from which the figure over the horizon shows this modality, or its elements with one unit
@@ -145,7 +152,19 @@ impl<'a> Source<'a> {
     /// When the study has no runs; the message names the command that makes them, if there is one. Also when the runs
     /// can't be shown in one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
-        self.runs_of(self.experiments.of(study), self.variant.as_deref())
+        let experiment = self.experiments.of(study);
+        let Some(reading) = self.reading.as_deref() else {
+            return self.runs_of(experiment, self.variant.as_deref());
+        };
+        let variants = self.analysis.runs(experiment).iter().map(|run| &run.record.spec);
+        let variant = variants
+            .filter(|spec| spec.reading() == Some(reading) && spec.role() == Some(study.name()))
+            .map(|spec| spec.variant.as_str())
+            .next();
+        match variant {
+            Some(variant) => self.runs_of(experiment, Some(variant)),
+            None => Err(no_runs(self.analysis, experiment)),
+        }
     }
 
     /// The runs of an experiment, or only those of a variant.
