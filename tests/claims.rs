@@ -30,7 +30,7 @@ fn root() -> &'static Path {
 }
 
 /// The claims of the repository. Most tests check all of them.
-static CLAIMS: LazyLock<Vec<Claim>> = LazyLock::new(|| load(&root().join(FILE)).unwrap());
+static CLAIMS: LazyLock<Vec<Claim>> = LazyLock::new(|| load(&root().join(FILE)).unwrap().claims);
 
 /// An experiment of the repository with these seeds.
 fn experiment(name: &str, seeds: &[u64]) -> Experiment {
@@ -757,6 +757,85 @@ fn a_choice_that_changes_a_verdict_is_named() {
     assert!(csv.starts_with("reading,claim,paper,") && csv.contains("\ntarget,vision_improves_force_r2,"));
 }
 
+/// Writes the runs of paper.yaml with these latent sizes on two datasets.
+fn write_paper(
+    registry: &Registry,
+    sizes: impl Fn(&RunSpec) -> &'static [usize],
+    says: impl Fn(&RunSpec) -> Says,
+) {
+    let path = root().join("experiments/paper.yaml");
+    let experiment = spec::load(&path, &["vary={simulation.seed: [0, 1]}".into()], false).unwrap();
+    for spec in experiment.runs() {
+        if spec.latent().is_some_and(|latent| sizes(&spec).contains(&latent)) {
+            finish_run(registry, "paper", &spec, says(&spec));
+        }
+    }
+}
+
+#[test]
+fn claims_are_judged_by_readings_and_by_their_own_experiments_side_by_side() {
+    let (folder, registry) = results(&[0, 1, 2], |_| Same);
+    let sizes = |spec: &RunSpec| match spec.role() {
+        Some("single_to_multi") => &[2, 4, 16][..],
+        _ => &[16, 64, 128],
+    };
+    write_paper(&registry, sizes, |spec| match (spec.reading(), spec.role()) {
+        (Some("recommended"), Some("multi_to_multi")) => Opposite,
+        _ => Same,
+    });
+    let printed = succeed(folder.path(), &["claims"]);
+    let header = printed.lines().find(|line| line.contains("condition")).unwrap();
+    let at = ["base", "recommended", "own experiments"].map(|name| header.find(name).unwrap());
+    assert!(at.is_sorted(), "{header}");
+    let row = printed.split("──\n").find(|row| row.contains("vision_improves_force_r2")).unwrap();
+    for (column, (start, end)) in
+        [(at[0], at[1]), (at[1], at[2]), (at[2], usize::MAX)].into_iter().enumerate()
+    {
+        let cell = |line: &str| line.chars().take(end).skip(start).collect::<String>().trim().to_owned();
+        let cells: Vec<String> = row.lines().map(cell).collect();
+        let expected = if column == 1 { "does not hold" } else { "holds" };
+        assert_eq!([&cells[1], &cells[3]], [expected; 2], "{row}");
+        assert!(cells[0].ends_with(if column == 2 { ", n = 1" } else { ", n = 2" }), "{row}");
+    }
+    assert!(printed.lines().all(|line| line.chars().count() <= 186), "{printed}");
+    assert_eq!(printed.matches(" not testable; intervals are").count(), 3, "{printed}");
+    let one = succeed(folder.path(), &["claims", "vision_improves_force_r2"]);
+    assert!(one.contains("\nrecommended:\nvision_improves_force_r2 empty: dataset 0 seed 0: 0.09"), "{one}");
+    assert_eq!(one.matches("select scenario, seed,\n").count(), 1, "{one}");
+    let csv = succeed(folder.path(), &["claims", "--format", "csv"]);
+    assert!(csv.contains("\nrecommended,vision_improves_force_r2,"), "{csv}");
+    assert!(csv.contains("\nown experiments,vision_improves_force_r2,"), "{csv}");
+    // A choice of settings and a plan are about the claims' own experiments.
+    let own = succeed(folder.path(), &["claims", "--where", "action=increment"]);
+    assert!(own.contains("vision_improves_force_r2") && !own.contains("recommended"), "{own}");
+}
+
+#[test]
+fn a_reading_without_runs_has_no_column() {
+    let (folder, registry) = results(&[0, 1, 2], |_| Same);
+    // On each dataset there is a network with vision of latent size 64. Another size was trained on one of them only.
+    let sizes = |spec: &RunSpec| match (spec.reading(), spec.role(), spec.dataset_seed()) {
+        (Some("base"), ..) => &[][..],
+        (_, Some("single_to_multi"), _) => &[2, 4, 16],
+        (.., 0) => &[16, 64],
+        _ => &[64],
+    };
+    write_paper(&registry, sizes, |_| Same);
+    let printed = succeed(folder.path(), &["claims"]);
+    let header = printed.lines().find(|line| line.contains("condition")).unwrap();
+    assert!(header.contains("recommended") && !header.contains("base"), "{header}");
+    let csv = succeed(folder.path(), &["claims", "vision_improves_force_r2", "--format", "csv"]);
+    let line = csv.lines().find(|line| line.starts_with("recommended,")).unwrap();
+    assert!(line.ends_with(",holds"), "{line}");
+    let spec = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
+    let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
+    let matrix = Readings::new(&registry, &spec, &claims, &[]).unwrap().judge(&claims).unwrap();
+    assert!(
+        matrix.rows.iter().all(|row| row.changes().next().is_none()),
+        "the base has no verdict to change"
+    );
+}
+
 /// The report has the same matrix, the same choices, and the figure.
 fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
     let out = results.join("report.html");
@@ -996,7 +1075,8 @@ fn networks_that_a_simple_prediction_beats_decide_no_claim() {
 /// Loads the claims of a file with this text.
 fn load_text(text: &str) -> Result<Vec<Claim>, String> {
     let (_folder, path) = file(text);
-    load(&path).map_err(|error| error.to_string().replace(path.to_str().unwrap(), "claims.yaml"))
+    let loaded = load(&path).map(|file| file.claims);
+    loaded.map_err(|error| error.to_string().replace(path.to_str().unwrap(), "claims.yaml"))
 }
 
 fn file(text: &str) -> (TempDir, PathBuf) {
@@ -1020,6 +1100,9 @@ const ONE: &str = "- id: force
 #[test]
 fn faults_of_a_file_are_named_with_their_place() {
     assert!(load_text(ONE).is_ok());
+    assert_eq!(load_text(&format!("readings: paper\nclaims:\n{ONE}")).unwrap().len(), 1);
+    let error = load_text(&format!("reading: paper\nclaims:\n{ONE}")).unwrap_err();
+    assert!(error.contains("1:1: unknown field `reading`, expected one of readings, claims"), "{error}");
     let edited = |old: &str, new: &str| {
         assert!(ONE.contains(old));
         load_text(&ONE.replace(old, new)).unwrap_err()
@@ -1070,11 +1153,11 @@ fn faults_of_a_file_are_named_with_their_place() {
         (load_text("").unwrap_err(), "1:1: the file contains no claims"),
         (
             load_text("name: smoke\nlatent: [4]\n").unwrap_err(),
-            "1:1: this is not a file of claims, which is a list; ",
+            "1:1: this is not a file of claims, which is a list, ",
         ),
         (
             load_text("- force\n- motion\n").unwrap_err(),
-            "1:3: this is not a file of claims, which is a list; ",
+            "1:3: this is not a file of claims, which is a list, ",
         ),
         (load_text("- id: [\n").unwrap_err(), "1:7: broken YAML: unclosed bracket"),
     ];

@@ -310,7 +310,7 @@ fn ask(results: &Path, answers: &Path) {
         }
     }
     fs::write(answers.join("commands.json"), serde_json::to_vec(&commands).unwrap()).unwrap();
-    let claims = load(&root().join("experiments/claims.yaml")).unwrap();
+    let claims = load(&root().join("experiments/claims.yaml")).unwrap().claims;
     let claim = |claim: &Claim| {
         json!({
             "id": claim.id(),

@@ -87,7 +87,7 @@ fn every_section_is_there() {
         let drawn = between(&PAGE, &format!("<figure id=\"figure-{}\">", figure.name()), "</figure>");
         assert!(drawn.contains("<svg ") && drawn.contains(figure.meaning()), "{}", figure.name());
     }
-    let claims = harness::claims::load(Path::new("experiments/claims.yaml")).unwrap();
+    let claims = harness::claims::load(Path::new("experiments/claims.yaml")).unwrap().claims;
     for claim in &claims {
         let shown = between(&PAGE, &format!("id=\"claim-{}\"", claim.id()), "</details>");
         let query = between(shown, "<pre tabindex=\"0\" aria-label=\"Query\">", "</pre>");
@@ -456,7 +456,7 @@ fn a_report_of_an_experiment_has_only_its_results() {
     assert_eq!(values(&own), values(&all));
     // One latent size, two scenarios and two seeds.
     assert_eq!(page.matches("<details class=\"run\">").count(), 4);
-    let claims = harness::claims::load(Path::new("experiments/claims.yaml")).unwrap();
+    let claims = harness::claims::load(Path::new("experiments/claims.yaml")).unwrap().claims;
     let decided = claims.iter().filter(|claim| claim.experiments(false) == ["multi_to_multi"]);
     let decided: BTreeSet<&str> = decided.map(|claim| claim.id()).collect();
     let shown: BTreeSet<&str> =

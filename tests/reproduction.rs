@@ -194,7 +194,7 @@ fn parts(text: &str) -> Vec<(&str, Option<(&str, &str)>)> {
 fn every_number_in_the_reproduction_is_what_its_query_gives() {
     let text = std::fs::read_to_string(page()).unwrap();
     let registry = Registry::new(root().join("results/reference"));
-    let claims = claims::load(&root().join("experiments/claims.yaml")).unwrap();
+    let claims = claims::load(&root().join("experiments/claims.yaml")).unwrap().claims;
     let chosen: Vec<&Claim> = claims.iter().collect();
     let runs = claims::runs(&registry, &chosen, &[], false).unwrap();
     let judgments = chosen.iter().flat_map(|claim| claims::judge(&runs, claim, false).unwrap()).collect();

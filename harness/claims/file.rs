@@ -3,38 +3,58 @@
 use super::Claim;
 use super::metric::ClaimMetric;
 use harness_spec::{BuiltIn, SpecError, find};
+use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// A file of claims.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClaimsFile {
+    /// A spec with readings. If it has runs, the claims are judged by them, beside the claims' own experiments.
+    #[serde(default)]
+    pub readings: Option<PathBuf>,
+    /// The claims, in the order of the file.
+    pub claims: Vec<Claim>,
+}
 
 /// The paper's claims, `experiments/claims.yaml`.
 const CLAIMS: BuiltIn = BuiltIn { name: "claims", text: include_str!("../../experiments/claims.yaml") };
 
 /// The message for YAML that is something else, such as a spec.
-const NO_CLAIMS: &str = "this is not a file of claims, which is a list; each claim in it has at least the keys id, \
-                         statement, measured, experiments, query and condition";
+const NO_CLAIMS: &str = "this is not a file of claims, which is a list, or a map with the key `claims`; each claim in \
+                         it has at least the keys id, statement, measured, experiments, query and condition";
 
-/// Reads and checks the claims of a file. The name `claims` stands for the paper's claims, as [`find`] says.
+/// Reads and checks a file of claims: a list of claims, or a map with the keys of [`ClaimsFile`]. The name `claims`
+/// stands for the paper's claims, as [`find`] says.
 ///
 /// # Errors
 /// When the file can't be read or is invalid. The error names the first problem with its file, line and column.
-pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
+pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
     let source = find("file of claims", path, &[CLAIMS])?;
     let invalid = |location: Option<Location>, message: String| {
         let known = location.filter(|location| *location != Location::UNKNOWN);
         let (line, column) = known.map_or((1, 1), |location| (location.line(), location.column()));
         SpecError::Invalid { path: source.label.clone(), line, column, message }
     };
-    let mut claims: Vec<Claim> = parse(&source.text).map_err(|error| {
+    let has_keys =
+        parse::<BTreeMap<String, IgnoredAny>>(&source.text).is_ok_and(|keys| keys.contains_key("claims"));
+    let parsed = match has_keys {
+        true => parse(&source.text),
+        false => parse(&source.text).map(|claims| ClaimsFile { readings: None, claims }),
+    };
+    let mut file: ClaimsFile = parsed.map_err(|error| {
         if let Err(broken) = parse::<IgnoredAny>(&source.text) {
             return invalid(broken.location(), format!("broken YAML: {}", told(&broken)));
         }
         match parse::<Vec<BTreeMap<String, IgnoredAny>>>(&source.text) {
-            Err(other) => invalid(other.location(), NO_CLAIMS.to_owned()),
-            Ok(_) => invalid(error.location(), told(&error)),
+            Err(other) if !has_keys => invalid(other.location(), NO_CLAIMS.to_owned()),
+            _ => invalid(error.location(), told(&error)),
         }
     })?;
+    let claims = &mut file.claims;
     if claims.is_empty() {
         return Err(invalid(None, "the file contains no claims".into()));
     }
@@ -56,11 +76,11 @@ pub fn load(path: &Path) -> Result<Vec<Claim>, SpecError> {
             return Err(invalid(Some(location), message));
         }
     }
-    for claim in &mut claims {
+    for claim in claims {
         claim.insert_metric();
         claim.file.clone_from(&source.label);
     }
-    Ok(claims)
+    Ok(file)
 }
 
 /// The place and the message of a fault, if the queries of a claim do not match its metric.

@@ -10,9 +10,9 @@ mod readings;
 mod table;
 
 pub use contacts::{Contacts, contacts};
-pub use file::load;
+pub use file::{ClaimsFile, load};
 pub use plan::{More, Plan, Step, plan};
-pub use readings::{Matrix, Readings, Row as MatrixRow};
+pub use readings::{Matrix, OWN, Readings, Row as MatrixRow};
 pub use table::table;
 
 use harness_analysis::{

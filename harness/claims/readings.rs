@@ -4,11 +4,15 @@ use super::{Claim, ClaimsError, Evidence, Judgment, Sizes, Verdict};
 use harness_analysis::{Analysis, AnalysisError, Run, Selection, Setting};
 use harness_registry::Registry;
 use harness_spec::{Experiment, Reading, Scenario};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The name of the judgments by the claims' own experiments in a [`Matrix`].
+pub const OWN: &str = "own experiments";
 
 /// The judgments of claims under all readings.
 pub struct Matrix<'a> {
-    /// The names of the readings, the base reading first.
+    /// The names of the readings, the base reading first. [`OWN`] comes last if the claims were judged by their own
+    /// experiments too.
     pub readings: Vec<&'a str>,
     /// A row for each claim and scenario that a reading has runs for.
     pub rows: Vec<Row<'a>>,
@@ -28,6 +32,29 @@ pub struct Row<'a> {
     pub judgments: Vec<Judgment<'a>>,
 }
 
+impl Matrix<'_> {
+    /// Removes the readings that no claim has data under.
+    pub fn without_empty(mut self) -> Self {
+        let has_data =
+            |place: usize| self.rows.iter().any(|row| row.judgments[place].verdict() != Verdict::NoData);
+        let kept: Vec<bool> = (0..self.readings.len()).map(has_data).collect();
+        retain(&mut self.readings, &kept);
+        self.rows.iter_mut().for_each(|row| retain(&mut row.judgments, &kept));
+        self
+    }
+
+    /// The judgments under the reading at a position in [`Self::readings`].
+    pub fn column(&self, place: usize) -> impl Iterator<Item = &Judgment<'_>> {
+        self.rows.iter().map(move |row| &row.judgments[place])
+    }
+}
+
+/// Keeps the elements of which `kept` says so.
+fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    values.retain(|_| *kept.next().unwrap_or(&false));
+}
+
 impl Row<'_> {
     /// The judgment under the base reading.
     pub fn base(&self) -> &Judgment<'_> {
@@ -41,7 +68,8 @@ impl Row<'_> {
         let is_decided = |verdict: &Verdict| matches!(verdict, Verdict::Holds | Verdict::DoesNotHold);
         self.judgments.iter().enumerate().skip(1).filter(move |(_, judgment)| {
             let verdict = judgment.verdict();
-            verdict != base && (is_decided(&verdict) || is_decided(&base)) && verdict != Verdict::NoData
+            let has_data = verdict != Verdict::NoData && base != Verdict::NoData;
+            has_data && verdict != base && (is_decided(&verdict) || is_decided(&base))
         })
     }
 }
@@ -97,11 +125,40 @@ impl<'a> Readings<'a> {
     where
         'a: 'c,
     {
-        let readings = self.names();
+        self.judge_with(claims, self.names(), |_| Ok(None))
+    }
+
+    /// Judges claims under every reading, and by the `runs` of their own experiments.
+    ///
+    /// # Errors
+    /// Like [`Self::judge`].
+    pub fn judge_beside<'c>(
+        &self,
+        claims: &[&'c Claim],
+        runs: &Analysis,
+        quick: bool,
+    ) -> Result<Matrix<'c>, ClaimsError>
+    where
+        'a: 'c,
+    {
+        let readings = self.names().into_iter().chain([OWN]).collect();
+        self.judge_with(claims, readings, |claim| super::judge(runs, claim, quick).map(Some))
+    }
+
+    fn judge_with<'c>(
+        &self,
+        claims: &[&'c Claim],
+        readings: Vec<&'c str>,
+        own: impl Fn(&'c Claim) -> Result<Option<Vec<Judgment<'c>>>, ClaimsError>,
+    ) -> Result<Matrix<'c>, ClaimsError>
+    where
+        'a: 'c,
+    {
         let (mut rows, mut left_out) = (Vec::new(), Vec::new());
         for &claim in claims {
-            let judged = readings.iter().map(|reading| self.judge_under(claim, reading));
-            let judged: Vec<Vec<Judgment<'c>>> = judged.collect::<Result<_, _>>()?;
+            let judged = self.names().into_iter().map(|reading| self.judge_under(claim, reading));
+            let mut judged: Vec<Vec<Judgment<'c>>> = judged.collect::<Result<_, _>>()?;
+            judged.extend(own(claim)?);
             let mut own = by_scenario(claim, judged);
             own.retain(|row| row.judgments.iter().any(|judgment| judgment.verdict() != Verdict::NoData));
             if own.is_empty() {
@@ -130,12 +187,17 @@ impl<'a> Readings<'a> {
         })
     }
 
-    /// The claim's latent sizes for which the reading has runs. An experiment without any keeps all of its sizes.
+    /// The claim's latent sizes for which the reading has runs on each of its datasets. An experiment without any
+    /// keeps all of its sizes.
     fn sizes(&self, claim: &Claim, reading: &str) -> Sizes {
         let of = |(role, asked): (&String, &BTreeSet<usize>)| {
-            let there: BTreeSet<usize> =
-                self.runs(reading, role).filter_map(|run| run.record.spec.latent()).collect();
-            let there: BTreeSet<usize> = there.intersection(asked).copied().collect();
+            let mut by_dataset: BTreeMap<_, BTreeSet<usize>> = BTreeMap::new();
+            for run in self.runs(reading, role) {
+                let spec = &run.record.spec;
+                let dataset = (&spec.scenario, spec.dataset_seed());
+                by_dataset.entry(dataset).or_default().extend(spec.latent());
+            }
+            let there = by_dataset.into_values().fold(asked.clone(), |sizes, own| &sizes & &own);
             (role.clone(), if there.is_empty() { asked.clone() } else { there })
         };
         claim.latent.iter().map(of).collect()

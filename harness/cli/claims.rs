@@ -8,7 +8,8 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Each, Judgment, Matrix, MatrixRow, Plan, Readings, Step, Values, Verdict, corrected,
+    self, Claim, ClaimsFile, Each, Judgment, Matrix, MatrixRow, OWN, Plan, Readings, Step, Values, Verdict,
+    corrected,
 };
 use harness::numbers::{counted, duration, rounded};
 use harness::registry::{Registry, quoted};
@@ -47,15 +48,25 @@ pub struct Claims {
 impl Claims {
     /// Judges the claims, and prints or writes the verdicts.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let all = claims::load(&self.file)?;
-        let chosen = claims::choose(&all, &self.chosen)?;
+        let file = claims::load(&self.file)?;
+        let chosen = claims::choose(&file.claims, &self.chosen)?;
         let form = self.to.form()?;
         if let Some(path) = &self.readings {
             return self.execute_readings(registry, path, &chosen, form);
         }
         let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
+        if let Some(spec) = self.readings_of(&file, registry)? {
+            let readings = Readings::new(registry, &spec, &chosen, &[])?;
+            let matrix = readings.judge_beside(&chosen, &runs, self.quick)?.without_empty();
+            if matrix.readings.iter().any(|name| *name != OWN) {
+                return self.print_families(
+                    &Families { readings: &readings, spec: &spec, runs: &runs, matrix },
+                    form,
+                );
+            }
+        }
         let mut judgments = Vec::new();
-        for claim in chosen {
+        for claim in &chosen {
             judgments.extend(claims::judge(&runs, claim, self.quick)?);
         }
         if !matches!(form, Form::Page(Style::Text)) {
@@ -74,10 +85,47 @@ impl Claims {
             print_details(&judgments, self.quick);
         }
         print_summary(&runs, &judgments);
-        let experiments: BTreeSet<String> =
-            judgments.iter().flat_map(|judgment| judgment.claim.experiments(self.quick)).collect();
-        print_contacts(&runs, &experiments.iter().map(String::as_str).collect::<Vec<_>>())?;
+        print_contacts(&runs, &self.experiments(&chosen))?;
         print_missing(&runs, &judgments, self.quick)?;
+        Ok(ExitCode::from(DONE))
+    }
+
+    /// The experiments that claims name, as they are called in tables.
+    fn experiments(&self, claims: &[&Claim]) -> Vec<String> {
+        let all: BTreeSet<String> = claims.iter().flat_map(|claim| claim.experiments(self.quick)).collect();
+        all.into_iter().collect()
+    }
+
+    /// The spec of the readings that the file of claims names, if it has runs. A plan is about the claims' own
+    /// experiments, and so are chosen settings.
+    fn readings_of(&self, file: &ClaimsFile, registry: &Registry) -> Result<Option<Experiment>> {
+        let Some(path) = file.readings.as_ref().filter(|_| !self.plan && self.settings.is_empty()) else {
+            return Ok(None);
+        };
+        let spec = spec::load(path, &[], self.quick)?;
+        let has_runs = registry.runs().join(&spec.name).is_dir();
+        Ok(has_runs.then_some(spec))
+    }
+
+    fn print_families(&self, families: &Families, form: Form) -> Result<ExitCode> {
+        let Families { readings, spec, runs, matrix } = families;
+        if !matches!(form, Form::Page(Style::Text)) {
+            return write_matrix(matrix, form);
+        }
+        print_beside(spec, matrix);
+        if !self.chosen.is_empty() {
+            for (place, name) in matrix.readings.iter().enumerate() {
+                println!("\n{name}:");
+                print_all_values(matrix.column(place));
+            }
+            let claims: Vec<&Claim> = matrix.rows.iter().map(|row| row.claim).collect();
+            print_queries(&claims, self.quick);
+        }
+        print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
+        let claims: Vec<&Claim> = matrix.rows.iter().map(|row| row.claim).collect();
+        if matrix.readings.contains(&OWN) {
+            print_contacts(runs, &self.experiments(&claims))?;
+        }
         Ok(ExitCode::from(DONE))
     }
 
@@ -104,19 +152,32 @@ impl Claims {
             );
         }
         if !matches!(form, Form::Page(Style::Text)) {
-            for note in &matrix.notes {
-                eprintln!("{note}");
-            }
-            let judgments: Vec<&Judgment> = matrix.rows.iter().flat_map(|row| &row.judgments).collect();
-            let mut table = claims::table(&judgments)?;
-            let readings = matrix.readings.iter().cycle().take(judgments.len()).copied();
-            table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
-            return write(table, form);
+            return write_matrix(&matrix, form);
         }
         print_matrix(&spec, &matrix);
-        print_contacts(readings.analysis(), &[&spec.name])?;
+        print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
         Ok(ExitCode::from(DONE))
     }
+}
+
+/// Claims judged by the readings of a spec, and by their own experiments.
+struct Families<'a> {
+    readings: &'a Readings<'a>,
+    spec: &'a Experiment,
+    runs: &'a Analysis,
+    matrix: Matrix<'a>,
+}
+
+/// Prints or writes a table with a row for each verdict under each reading.
+fn write_matrix(matrix: &Matrix, form: Form) -> Result<ExitCode> {
+    for note in &matrix.notes {
+        eprintln!("{note}");
+    }
+    let judgments: Vec<&Judgment> = matrix.rows.iter().flat_map(|row| &row.judgments).collect();
+    let mut table = claims::table(&judgments)?;
+    let readings = matrix.readings.iter().cycle().take(judgments.len()).copied();
+    table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
+    write(table, form)
 }
 
 /// The columns of the verdicts on a page.
@@ -210,6 +271,123 @@ fn print_matrix(spec: &Experiment, matrix: &Matrix) {
         matrix.left_out.len()
     ));
     matrix.notes.iter().for_each(|note| print_text(note));
+}
+
+/// Prints the verdict on each claim under each reading side by side, with the values.
+fn print_beside(spec: &Experiment, matrix: &Matrix) {
+    let corrected: Vec<Vec<Option<f64>>> =
+        (0..matrix.readings.len()).map(|place| corrected(matrix.column(place))).collect();
+    // Two lines: the value with its number of datasets, and the verdict.
+    let cell = |row: usize, place: usize| {
+        let judgment = &matrix.rows[row].judgments[place];
+        let value = judgment
+            .interval()
+            .map_or("-".into(), |interval| format!("{interval}, n = {}", judgment.measured.datasets()));
+        format!("{value}\n{}", verdict(&(judgment, corrected[place][row])))
+    };
+    let places = || 0..matrix.readings.len();
+    let mut claims: Vec<Vec<usize>> = Vec::new();
+    for (row, MatrixRow { claim, .. }) in matrix.rows.iter().enumerate() {
+        match claims.last_mut() {
+            Some(rows) if matrix.rows[rows[0]].claim.id() == claim.id() => rows.push(row),
+            _ => claims.push(vec![row]),
+        }
+    }
+    let of_claim = |rows: &Vec<usize>| {
+        let claim = matrix.rows[rows[0]].claim;
+        let scenarios = rows.iter().map(|row| matrix.rows[*row].scenario.map_or("both", Scenario::name));
+        let head = [
+            format!("{}\n{}", statement(claim), claim.id()),
+            scenarios.collect::<Vec<_>>().join("\n\n"),
+            claim.condition.to_string(),
+        ];
+        let cells =
+            places().map(|place| rows.iter().map(|row| cell(*row, place)).collect::<Vec<_>>().join("\n"));
+        head.into_iter().chain(cells).collect()
+    };
+    let header = ["claim", "scenario", "condition"].into_iter().chain(matrix.readings.iter().copied());
+    let header: Vec<String> = header.map(str::to_owned).collect();
+    let table = Grid {
+        rows: claims.iter().map(of_claim).collect(),
+        right: vec![false; header.len()],
+        whole: (0..header.len()).map(|column| column > 0).collect(),
+        ruled: true,
+        header,
+    };
+    match width() {
+        Some(limit) if !table.fits(limit) => {
+            for row in 0..matrix.rows.len() {
+                println!(
+                    "{}",
+                    listed_beside(
+                        matrix,
+                        row,
+                        &places().map(|place| cell(row, place)).collect::<Vec<_>>(),
+                        limit
+                    )
+                );
+            }
+        }
+        limit => println!("{}", table.text(limit.or(Some(LINE.max(60 + 42 * matrix.readings.len() as u16))))),
+    }
+    print_text("\nn: number of datasets");
+    for (place, name) in matrix.readings.iter().enumerate() {
+        print_text(&format!("{name}: {}", described(spec, name)));
+        print_counts(&matrix.column(place).collect::<Vec<_>>(), &corrected[place]);
+    }
+    if !matrix.left_out.is_empty() {
+        let claims = counted(matrix.left_out.len(), "claim");
+        print_text(&format!("{claims} without runs"));
+    }
+    matrix.notes.iter().for_each(|note| print_text(note));
+}
+
+/// A line for each reading of a claim in a scenario, below the claim's statement.
+fn listed_beside(matrix: &Matrix, row: usize, cells: &[String], limit: u16) -> String {
+    let MatrixRow { claim, scenario, .. } = &matrix.rows[row];
+    let scenario = scenario.map_or("both", Scenario::name);
+    let heading = fitted(&format!("{} {scenario}: {}", claim.id(), statement(claim)), Some(limit));
+    let condition = fitted(&format!("  condition: {}", claim.condition), Some(limit));
+    let lines = matrix
+        .readings
+        .iter()
+        .zip(cells)
+        .map(|(name, cell)| fitted(&format!("  {name}: {}", cell.replace('\n', ": ")), Some(limit)));
+    [heading, condition].into_iter().chain(lines).collect::<Vec<_>>().join("\n") + "\n"
+}
+
+/// What a reading is.
+fn described(spec: &Experiment, name: &str) -> String {
+    if name == OWN {
+        return "the experiments that the claims name".into();
+    }
+    match spec.readings.iter().find(|reading| reading.name == name) {
+        Some(Reading { choice, instead, .. }) => format!("{}: {choice}: {instead}", spec.name),
+        None => match spec.readings.as_slice() {
+            [only] => format!("{}: {}", spec.name, only.base),
+            _ => format!("{}: the spec's own settings", spec.name),
+        },
+    }
+}
+
+/// Prints the numbers of verdicts, those that a correction makes undecided, and the requirements that are not met.
+fn print_counts(judgments: &[&Judgment], corrected: &[Option<f64>]) {
+    let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
+    let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
+    let untestable = count(|verdict| *verdict == Verdict::NotTestable);
+    print_text(&format!(
+        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
+         datasets or, with one dataset, over seeds or episodes",
+        judgments.len() - holds - fails - untestable,
+    ));
+    let unsure = judgments.iter().zip(corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
+    if unsure > 0 {
+        let tests = corrected.iter().flatten().count();
+        print_text(&format!(
+            "* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests"
+        ));
+    }
+    print_unmet(judgments);
 }
 
 fn print_plan(plan: &Plan, judgments: &[Judgment]) {
@@ -325,6 +503,12 @@ fn scenario(judgment: &Judgment) -> &'static str {
 }
 
 fn print_details(judgments: &[Judgment], quick: bool) {
+    print_all_values(judgments);
+    print_queries(&judgments.iter().map(|judgment| judgment.claim).collect::<Vec<_>>(), quick);
+}
+
+/// Prints the values that claims and their requirements are judged by.
+fn print_all_values<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b>>) {
     for judgment in judgments {
         let (id, scenario) = (judgment.claim.id(), scenario(judgment));
         for (scenario, values) in judgment.groups() {
@@ -335,8 +519,12 @@ fn print_details(judgments: &[Judgment], quick: bool) {
             print_values(&format!("{id} {scenario} requires"), required.each, &required.values);
         }
     }
-    for judgments in judgments.chunk_by(|a, b| a.claim.id() == b.claim.id()) {
-        let claim = judgments[0].claim;
+}
+
+/// Prints the queries of claims, of which equal ones are neighbors.
+fn print_queries(claims: &[&Claim], quick: bool) {
+    for claims in claims.chunk_by(|a, b| a.id() == b.id()) {
+        let claim = claims[0];
         println!("\n{}:\n{}", claim.id(), claim.sql(quick));
         if let (Some(requirement), Some(sql)) = (&claim.requires, claim.required_sql(quick)) {
             print_text(&format!("requires {}, {}:", requirement.measured, requirement.condition));
@@ -362,23 +550,7 @@ fn print_values(of: &str, each: Each, values: &Values) {
 }
 
 fn print_summary(runs: &Analysis, judgments: &[Judgment]) {
-    let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
-    let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
-    let untestable = count(|verdict| *verdict == Verdict::NotTestable);
-    print_text(&format!(
-        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
-         datasets or, with one dataset, over seeds or episodes",
-        judgments.len() - holds - fails - untestable,
-    ));
-    let corrected = corrected(judgments);
-    let unsure = judgments.iter().zip(&corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
-    if unsure > 0 {
-        let tests = corrected.iter().flatten().count();
-        print_text(&format!(
-            "* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests"
-        ));
-    }
-    print_unmet(judgments);
+    print_counts(&judgments.iter().collect::<Vec<_>>(), &corrected(judgments));
     let mixed: BTreeSet<String> =
         judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
     for text in runs.notes().iter().chain(&mixed) {
@@ -425,15 +597,16 @@ fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result
 }
 
 /// Prints how often links are touched in the datasets of these experiments.
-fn print_contacts(runs: &Analysis, experiments: &[&str]) -> Result<()> {
-    for contacts in claims::contacts(runs, experiments)? {
+fn print_contacts(runs: &Analysis, experiments: &[String]) -> Result<()> {
+    let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
+    for contacts in claims::contacts(runs, &experiments)? {
         print_text(&contacts.to_string());
     }
     Ok(())
 }
 
 /// Prints the requirements that do not hold or are undecided, each with its claims.
-fn print_unmet(judgments: &[Judgment]) {
+fn print_unmet(judgments: &[&Judgment]) {
     let mut claims: BTreeMap<(&str, String), Vec<&str>> = BTreeMap::new();
     for judgment in judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NotTestable) {
         let key = (scenario(judgment), judgment.unmet().unwrap_or_default());

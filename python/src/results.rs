@@ -41,7 +41,7 @@ pub fn claims(
 ) -> PyResult<Table> {
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
     let judge = || -> PyResult<_> {
-        let all = harness::claims::load(&file).map_err(Raise::raise)?;
+        let all = harness::claims::load(&file).map_err(Raise::raise)?.claims;
         let chosen = harness::claims::choose(&all, &chosen).map_err(refused)?;
         let runs = harness::claims::runs(&registry, &chosen, &settings, quick).map_err(Raise::raise)?;
         let mut judgments = Vec::new();
@@ -194,7 +194,7 @@ pub fn report(
     let cancelled = AtomicBool::new(false);
     let listener = Listener::new(progress, &cancelled);
     let write = || -> PyResult<()> {
-        let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
+        let claims = harness::claims::load(&claims).map_err(Raise::raise)?.claims;
         let readings = harness::spec::load(&readings, &[], quick).map_err(Raise::raise)?;
         let asked = Asked { experiments, settings, quick };
         let page = harness::report::page(&registry, &claims, &readings, &asked, &listener);

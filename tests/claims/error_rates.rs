@@ -86,7 +86,7 @@ fn assert_rare(rate: f64, what: &str) {
 #[test]
 fn verdicts_of_each_kind_are_wrong_as_rarely_as_promised() {
     let (_folder, path) = file(KINDS);
-    for claim in &load(&path).unwrap() {
+    for claim in &load(&path).unwrap().claims {
         let (bound, learned) = (claim.condition.bound(), 0.5);
         let better = if claim.condition.satisfied_by(bound + 1.0) { 1.0 } else { -1.0 };
         for sizes in SIZES {
@@ -113,7 +113,7 @@ fn verdicts_of_each_kind_are_wrong_as_rarely_as_promised() {
 #[test]
 fn what_learned_nothing_is_compared_as_rarely_as_promised() {
     let (_folder, path) = file(KINDS);
-    let claims = load(&path).unwrap();
+    let claims = load(&path).unwrap().claims;
     let claim = claims.iter().find(|claim| claim.id() == "required").unwrap();
     for sizes in SIZES {
         let table = Table { sizes, of_datasets: 0.05, of_seeds: 0.05 };
@@ -125,7 +125,7 @@ fn what_learned_nothing_is_compared_as_rarely_as_promised() {
 #[test]
 fn equal_networks_are_no_better_than_each_other() {
     let (_folder, path) = file(KINDS);
-    let claims = load(&path).unwrap();
+    let claims = load(&path).unwrap().claims;
     let claim = claims.iter().find(|claim| claim.id() == "margin").unwrap();
     let table = Table { sizes: (6, 2), of_datasets: 0.02, of_seeds: 0.05 };
     let (holds, fails) = verdicts(claim, &table, 0.0, 0.0);
