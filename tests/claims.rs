@@ -14,6 +14,7 @@ use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, Outcome, Provenance, Registry};
 use harness::seal;
 use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Scenario, Task};
+use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -834,6 +835,76 @@ fn a_reading_without_runs_has_no_column() {
         matrix.rows.iter().all(|row| row.changes().next().is_none()),
         "the base has no verdict to change"
     );
+}
+
+#[test]
+fn runs_of_another_experiment_stand_for_a_role_until_it_has_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::new(folder.path());
+    let sizes = |spec: &RunSpec| match (spec.reading(), spec.role()) {
+        (Some("recommended"), Some("single_to_multi")) => &[2, 4, 16][..],
+        _ => &[],
+    };
+    write_paper(&registry, sizes, |_| Same);
+    let path = root().join("experiments/paper.yaml");
+    let spec = spec::load(&path, &[], false).unwrap();
+    let claims: Vec<&'static Claim> =
+        CLAIMS.iter().filter(|claim| claim.id() == "vision_improves_force_r2").collect();
+    let verdicts = || -> Vec<Verdict> {
+        let matrix = Readings::new(&registry, &spec, &claims, &[]).unwrap().judge(&claims).unwrap();
+        matrix.rows.iter().map(|row| row.judgments[1].verdict()).collect()
+    };
+    assert_eq!(verdicts(), []);
+    let others = ["vary={simulation.seed: [0, 1]}"].map(str::to_owned);
+    let others = spec::load(&root().join("experiments/senses.yaml"), &others, false).unwrap();
+    for spec in others.runs().iter().filter(|spec| spec.role() == Some("angles_and_camera")) {
+        finish_run(&registry, "senses", spec, Same);
+    }
+    assert_eq!(verdicts(), [Verdict::Holds; 2]);
+    let own = |spec: &RunSpec| match (spec.reading(), spec.role()) {
+        (Some("recommended"), Some("multi_to_multi")) => &[16, 64, 128][..],
+        _ => &[],
+    };
+    write_paper(&registry, own, |_| Opposite);
+    assert_eq!(verdicts(), [Verdict::DoesNotHold; 2]);
+}
+
+/// The published runs with vision that stand for those of the recommended network have its settings.
+#[test]
+fn published_runs_that_stand_for_a_role_have_the_settings_of_its_reading() {
+    let spec = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
+    let settings = |spec: &RunSpec| {
+        let mut settings = serde_json::to_value(spec).unwrap();
+        for name in ["variant", "tasks"] {
+            settings.as_object_mut().unwrap().remove(name);
+        }
+        // Both train all epochs, so it does not matter which loss would stop the training.
+        assert!(settings["training"]["patience"].is_null());
+        settings["training"].as_object_mut().unwrap().remove("stop");
+        settings
+    };
+    let recorded = Registry::new(root().join("results/reference")).recorded();
+    let mut compared = 0;
+    for reading in spec.readings.iter().filter(|reading| !reading.runs.is_empty()) {
+        for (role, others) in &reading.runs {
+            let is_other =
+                |spec: &RunSpec, name: &str| name == others.experiment && spec.variant == others.variant;
+            let others: Vec<Value> = recorded
+                .iter()
+                .filter(|(_, record)| is_other(&record.spec, &record.experiment))
+                .map(|(_, record)| settings(&record.spec))
+                .collect();
+            let own: Vec<Value> = spec
+                .runs()
+                .iter()
+                .filter(|spec| spec.reading() == Some(&reading.name) && spec.role() == Some(role))
+                .map(settings)
+                .collect();
+            assert!(others.iter().all(|other| own.contains(other)), "{role}");
+            compared += others.len();
+        }
+    }
+    assert_eq!(compared, 12);
 }
 
 /// The report has the same matrix, the same choices, and the figure.

@@ -1,11 +1,12 @@
 //! Compares every number in docs/reproduction.md with its query's answer on the published results.
 //!
-//! A number is between HTML comments: `<!--= value vision_improves_force_r2 empty -->0.14<!---->`.
+//! A number is between HTML comments: `<!--= value recommended vision_improves_force_r2 empty -->0.35<!---->`. The
+//! reading `own` stands for the experiments that the claims name.
 //! After other results were published, `UPDATE=1 cargo test --test all reproduction` updates the numbers.
 
 use harness::analysis::Interval;
 use harness::catalog::query;
-use harness::claims::{self, Claim, Judgment, Matrix, MatrixRow, Readings, Verdict};
+use harness::claims::{self, Claim, Judgment, Matrix, MatrixRow, OWN, Readings, Verdict};
 use harness::registry::Registry;
 use harness::spec::{self, Experiment, Scenario};
 use std::fmt::Write;
@@ -25,7 +26,9 @@ fn page() -> PathBuf {
 /// The results that the comments refer to.
 struct Source<'a> {
     registry: &'a Registry,
-    judgments: Vec<Judgment<'a>>,
+    /// The judgments by the readings of paper.yaml and by the claims' own experiments.
+    families: Matrix<'a>,
+    /// The spec readings.yaml, and the judgments by its readings.
     spec: &'a Experiment,
     matrix: Matrix<'a>,
 }
@@ -35,10 +38,14 @@ impl Source<'_> {
     fn answer(&self, mark: &str) -> String {
         let words: Vec<&str> = mark.split_whitespace().collect();
         match words.as_slice() {
-            ["value", id, scenario] => self.judgment(id, scenario).interval().map_or("-".into(), short),
-            ["verdict", id, scenario] => self.judgment(id, scenario).verdict().to_string(),
-            ["counts"] => self.counts(),
-            ["corrected"] => self.corrected(),
+            ["value", family, id, scenario] => {
+                self.judgment(family, id, scenario).interval().map_or("-".into(), short)
+            }
+            ["verdict", family, id, scenario] => self.judgment(family, id, scenario).verdict().to_string(),
+            ["counts", family] => self.counts(family),
+            ["corrected", family] => self.corrected(family),
+            ["differ"] => self.differ(),
+            ["open", family] => self.open(family),
             ["statements"] => self.statements(),
             ["choices"] => self.choices(),
             ["matrix"] => self.changes(),
@@ -52,55 +59,114 @@ impl Source<'_> {
         }
     }
 
-    fn judgment(&self, id: &str, scenario: &str) -> &Judgment<'_> {
-        let is_it = |one: &&Judgment| one.claim.id() == id && place(one.scenario) == scenario;
-        self.judgments.iter().find(is_it).unwrap_or_else(|| panic!("there is no claim '{id} {scenario}'"))
+    /// The position of a family among the judgments.
+    fn place_of(&self, family: &str) -> usize {
+        let name = if family == "own" { OWN } else { family };
+        let place = self.families.readings.iter().position(|reading| *reading == name);
+        place.unwrap_or_else(|| panic!("there are no runs of '{family}'"))
     }
 
-    fn counts(&self) -> String {
-        let count =
-            |of: &dyn Fn(Verdict) -> bool| self.judgments.iter().filter(|one| of(one.verdict())).count();
+    fn judgments(&self, family: &str) -> Vec<&Judgment<'_>> {
+        self.families.column(self.place_of(family)).collect()
+    }
+
+    fn judgment(&self, family: &str, id: &str, scenario: &str) -> &Judgment<'_> {
+        let is_it = |one: &&&Judgment| one.claim.id() == id && place(one.scenario) == scenario;
+        let judgments = self.judgments(family);
+        judgments.iter().find(is_it).unwrap_or_else(|| panic!("there is no claim '{id} {scenario}'"))
+    }
+
+    fn counts(&self, family: &str) -> String {
+        let judgments = self.judgments(family);
+        let count = |of: &dyn Fn(Verdict) -> bool| judgments.iter().filter(|one| of(one.verdict())).count();
         let (hold, fail) = (count(&|v| v == Verdict::Holds), count(&|v| v == Verdict::DoesNotHold));
         let untestable = count(&|verdict| verdict == Verdict::NotTestable);
-        let all = self.judgments.len();
+        let missing = count(&|verdict| verdict == Verdict::NoData);
+        let all = judgments.len();
+        let lacking = if missing > 0 { format!(", and {missing} have no runs yet") } else { String::new() };
         format!(
             "Of {all} verdicts, {hold} say that a statement of the paper holds here, {fail} that it does not, and {} \
-             that these runs do not decide it; {untestable} are not testable.",
-            all - hold - fail - untestable
+             that these runs do not decide it; {untestable} are not testable{lacking}.",
+            all - hold - fail - untestable - missing
         )
     }
 
-    /// For each judgment, whether its verdict stands after Holm's correction.
-    fn stands(&self) -> Vec<bool> {
-        let corrected = claims::corrected(&self.judgments);
-        self.judgments.iter().zip(corrected).map(|(one, corrected)| one.stands(corrected)).collect()
+    /// For each judgment of a family, whether its verdict stands after Holm's correction.
+    fn stands(&self, place: usize) -> Vec<bool> {
+        let corrected = claims::corrected(self.families.column(place));
+        self.families.column(place).zip(corrected).map(|(one, corrected)| one.stands(corrected)).collect()
     }
 
-    fn corrected(&self) -> String {
-        let tests = claims::corrected(&self.judgments).into_iter().flatten().count();
-        let is_decided = |one: &&Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-        let decided = self.judgments.iter().filter(is_decided).count();
-        let unsure = self.stands().into_iter().filter(|stands| !stands).count();
+    fn corrected(&self, family: &str) -> String {
+        let judgments = self.judgments(family);
+        let tests = claims::corrected(judgments.iter().copied()).into_iter().flatten().count();
+        let is_decided = |one: &&&Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+        let decided = judgments.iter().filter(is_decided).count();
+        let unsure = self.stands(self.place_of(family)).into_iter().filter(|stands| !stands).count();
         format!(
             "Holm's correction for {tests} tests makes {unsure} of the {decided} verdicts \"holds\" and \"does not \
              hold\" undecided."
         )
     }
 
-    /// A table with a row for each claim: what was measured, and the verdicts.
-    fn statements(&self) -> String {
+    /// A table of the claims that the recommended network and the first published runs decide differently.
+    fn differ(&self) -> String {
+        let [recommended, own] = ["recommended", "own"].map(|family| self.place_of(family));
+        let mut table = format!(
+            "\n| claim | scenario | {} | {} |\n|---|---|---|---|\n",
+            titled("recommended"),
+            titled(OWN)
+        );
+        for row in &self.families.rows {
+            let [new, old] = [recommended, own].map(|place| &row.judgments[place]);
+            let is_new = matches!(new.verdict(), Verdict::Holds | Verdict::DoesNotHold);
+            if is_new && new.verdict() != old.verdict() {
+                let cells = [new, old].map(|one| one.verdict().to_string()).join(" | ");
+                writeln!(table, "| `{}` | {} | {cells} |", row.claim.id(), place(row.scenario)).unwrap();
+            }
+        }
+        table
+    }
+
+    /// A table of a family's claims that have runs and are not decided, with what keeps them from it.
+    fn open(&self, family: &str) -> String {
         let mut table =
-            "\n| statement | place | empty | cluttered | both |\n|---|---|---|---|---|\n".to_owned();
-        let judged: Vec<(&Judgment, bool)> = self.judgments.iter().zip(self.stands()).collect();
-        for own in judged.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id()) {
-            let Claim { statement, section, .. } = own[0].0.claim;
-            let cell = |scenario: Option<Scenario>| {
-                let found = own.iter().find(|(one, _)| one.scenario == scenario);
-                let mark = |stands: bool| if stands { "" } else { " *" };
-                found.map_or(String::new(), |(one, stands)| format!("{}{}", one.verdict(), mark(*stands)))
+            "\n| claim | scenario | verdict | value and requirement |\n|---|---|---|---|\n".to_owned();
+        for one in self.judgments(family) {
+            let why = match one.verdict() {
+                Verdict::NotTestable => one.unmet().unwrap_or_default(),
+                Verdict::Undecided => {
+                    let value = one.interval().map_or("-".into(), |interval| interval.to_string());
+                    format!("{}: {value}, {}", one.claim.measured, one.claim.condition)
+                }
+                _ => continue,
             };
-            let [empty, cluttered] = Scenario::PAPER.map(|scenario| cell(Some(scenario)));
-            writeln!(table, "| {statement} | {section} | {empty} | {cluttered} | {} |", cell(None)).unwrap();
+            let (id, scenario) = (one.claim.id(), place(one.scenario));
+            writeln!(table, "| `{id}` | {scenario} | {} | {why} |", one.verdict()).unwrap();
+        }
+        table
+    }
+
+    /// A table with a row for each claim and scenario: the verdicts of all families, with their values.
+    fn statements(&self) -> String {
+        let families = &self.families;
+        let names: Vec<&str> = families.readings.iter().map(|name| titled(name)).collect();
+        let mut table = format!(
+            "\n| statement | place | scenario | {} |\n|---|---|---|{}\n",
+            names.join(" | "),
+            "---|".repeat(names.len())
+        );
+        let stands: Vec<Vec<bool>> = (0..names.len()).map(|place| self.stands(place)).collect();
+        for (at, row) in families.rows.iter().enumerate() {
+            let Claim { statement, section, .. } = row.claim;
+            let cell = |(place, one): (usize, &Judgment)| {
+                let mark = if stands[place][at] { "" } else { " *" };
+                let value = one.interval().map_or(String::new(), |value| format!(": {}", short(value)));
+                format!("{}{mark}{value}", one.verdict())
+            };
+            let cells: Vec<String> = row.judgments.iter().enumerate().map(cell).collect();
+            let (scenario, cells) = (place(row.scenario), cells.join(" | "));
+            writeln!(table, "| {statement} | {section} | {scenario} | {cells} |").unwrap();
         }
         table
     }
@@ -164,6 +230,16 @@ impl Source<'_> {
 
 const UNPUBLISHED: &str = "(the runs of the readings are not published)";
 
+/// What the page calls a family.
+fn titled(family: &str) -> &str {
+    match family {
+        "base" => "the recipe",
+        "recommended" => "the recommended network",
+        OWN => "as first published",
+        other => other,
+    }
+}
+
 fn place(scenario: Option<Scenario>) -> &'static str {
     scenario.map_or("both", Scenario::name)
 }
@@ -197,10 +273,12 @@ fn every_number_in_the_reproduction_is_what_its_query_gives() {
     let claims = claims::load(&root().join("experiments/claims.yaml")).unwrap().claims;
     let chosen: Vec<&Claim> = claims.iter().collect();
     let runs = claims::runs(&registry, &chosen, &[], false).unwrap();
-    let judgments = chosen.iter().flat_map(|claim| claims::judge(&runs, claim, false).unwrap()).collect();
+    let paper = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
+    let families = Readings::new(&registry, &paper, &chosen, &[]).unwrap();
+    let families = families.judge_beside(&chosen, &runs, false).unwrap().without_empty();
     let spec = spec::load(&root().join("experiments/readings.yaml"), &[], false).unwrap();
     let matrix = Readings::new(&registry, &spec, &chosen, &[]).unwrap().judge(&chosen).unwrap();
-    let source = Source { registry: &registry, judgments, spec: &spec, matrix };
+    let source = Source { registry: &registry, families, spec: &spec, matrix };
     let filled: String = parts(&text)
         .into_iter()
         .map(|(before, mark)| match mark {

@@ -91,7 +91,9 @@ impl<'a> Readings<'a> {
         claims: &[&Claim],
         settings: &[Setting],
     ) -> Result<Self, AnalysisError> {
-        let experiments = vec![spec.name.clone()];
+        let others = spec.readings.iter().flat_map(|reading| reading.runs.values());
+        let others: BTreeSet<&String> = others.map(|runs| &runs.experiment).collect();
+        let experiments: Vec<String> = std::iter::once(&spec.name).chain(others).cloned().collect();
         let (settings, trained) = (settings.to_vec(), experiments.clone());
         let selection = Selection { experiments, settings, simulated: true, trained };
         let mut readings = Self { spec, analysis: Analysis::new(registry, &selection)? };
@@ -171,7 +173,7 @@ impl<'a> Readings<'a> {
 
     fn judge_under<'c>(&self, claim: &'c Claim, reading: &str) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let experiments = claim.experiments.iter().map(|role| {
-            let runs: Vec<_> = self.runs(reading, role).collect();
+            let runs = self.runs(reading, role);
             let checked = self.analysis.check_alike(&runs);
             (role.clone(), runs, checked)
         });
@@ -179,12 +181,22 @@ impl<'a> Readings<'a> {
         Evidence::of(&self.analysis, experiments.collect()).judge(claim, &sizes, false)
     }
 
-    /// The runs that stand for an experiment under a reading.
-    fn runs(&self, reading: &str, role: &str) -> impl Iterator<Item = &Run> {
-        self.analysis.runs(&self.spec.name).iter().filter(move |run| {
+    /// The runs that stand for an experiment under a reading: the reading's own or, without any, those of another
+    /// experiment that the reading names.
+    fn runs(&self, reading: &str, role: &str) -> Vec<&Run> {
+        let is_own = |run: &&Run| {
             let spec = &run.record.spec;
             spec.reading() == Some(reading) && spec.role() == Some(role)
-        })
+        };
+        let own: Vec<&Run> = self.analysis.runs(&self.spec.name).iter().filter(is_own).collect();
+        let mut named = self.spec.readings.iter().filter(|other| other.name == reading);
+        match named.find_map(|reading| reading.runs.get(role)) {
+            Some(others) if own.is_empty() => {
+                let all = self.analysis.runs(&others.experiment).iter();
+                all.filter(|run| run.record.spec.variant == others.variant).collect()
+            }
+            _ => own,
+        }
     }
 
     /// The claim's latent sizes for which the reading has runs on each of its datasets. An experiment without any

@@ -375,10 +375,12 @@ fn print_counts(judgments: &[&Judgment], corrected: &[Option<f64>]) {
     let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
     let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
     let untestable = count(|verdict| *verdict == Verdict::NotTestable);
+    let missing = count(|verdict| *verdict == Verdict::NoData);
+    let without = if missing > 0 { format!(", {missing} without runs") } else { String::new() };
     print_text(&format!(
-        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable; intervals are 95 % over \
+        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable{without}; intervals are 95 % over \
          datasets or, with one dataset, over seeds or episodes",
-        judgments.len() - holds - fails - untestable,
+        judgments.len() - holds - fails - untestable - missing,
     ));
     let unsure = judgments.iter().zip(corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
     if unsure > 0 {

@@ -270,6 +270,21 @@ pub struct Reading {
     pub paper: String,
     /// The settings that differ from the spec's, by dotted key.
     pub settings: Settings,
+    /// Runs of other experiments with the settings of this reading, by role. Claims use them until the reading has runs
+    /// of its own for the role.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub runs: BTreeMap<String, OtherRuns>,
+}
+
+/// Runs of another experiment.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OtherRuns {
+    /// Name of the experiment.
+    pub experiment: String,
+    /// The variant of the runs, as in the table `runs`. Empty if the experiment varies nothing.
+    #[serde(default)]
+    pub variant: String,
 }
 
 impl Reading {

@@ -79,7 +79,15 @@ fn name(name: &str) -> Result<(), Fault> {
 
 /// Refuses names of readings and roles that are invalid or not unique.
 fn readings(experiment: &Experiment) -> Result<(), Fault> {
-    for (index, Reading { name, .. }) in experiment.readings.iter().enumerate() {
+    for (index, Reading { name, runs, .. }) in experiment.readings.iter().enumerate() {
+        if let Some(role) = runs.keys().find(|role| !experiment.roles.contains_key(*role)) {
+            let roles: Vec<&str> = experiment.roles.keys().map(String::as_str).collect();
+            let problem = match roles.as_slice() {
+                [] => format!("'{role}' is no role, because the spec has no roles"),
+                roles => format!("'{role}' is no role; the roles are {}", roles.join(", ")),
+            };
+            return fault(format!("readings.{index}.runs.{role}"), problem);
+        }
         let path = format!("readings.{index}.name");
         if name == Reading::BASE {
             return fault(
