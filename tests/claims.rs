@@ -799,7 +799,7 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments_side_by_side() {
         assert!(cells[0].ends_with(if column == 2 { ", n = 1" } else { ", n = 2" }), "{row}");
     }
     assert!(printed.lines().all(|line| line.chars().count() <= 186), "{printed}");
-    assert_eq!(printed.matches(" not testable; intervals are").count(), 3, "{printed}");
+    assert_eq!(printed.matches("; intervals are 95 %").count(), 3, "{printed}");
     let one = succeed(folder.path(), &["claims", "vision_improves_force_r2"]);
     assert!(one.contains("\nrecommended:\nvision_improves_force_r2 empty: dataset 0 seed 0: 0.09"), "{one}");
     assert_eq!(one.matches("select scenario, seed,\n").count(), 1, "{one}");

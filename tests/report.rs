@@ -54,7 +54,10 @@ fn page_without_pictures(results: &Path, name: &str, more: &[&str]) -> String {
 
 /// The page if EGL finds no driver, with a cache folder of images rendered before.
 fn page_without_driver(results: &Path, name: &str, more: &[&str], cache: &Path) -> String {
-    let out = results.join(name);
+    written_page(results, &results.join(name), more, cache)
+}
+
+fn written_page(results: &Path, out: &Path, more: &[&str], cache: &Path) -> String {
     let arguments = [&["report", "--output", out.to_str().unwrap()][..], more].concat();
     let mut command = harness(results, &arguments);
     command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", cache);
@@ -73,6 +76,24 @@ fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
 fn data(page: &str) -> Value {
     serde_json::from_str(between(page, "<script type=\"application/json\" id=\"data\">", "</script>"))
         .unwrap()
+}
+
+/// The published runs of paper.yaml judge the claims beside the claims' own experiments.
+#[test]
+fn claims_of_all_results_have_the_verdicts_of_readings_below_their_own() {
+    let results = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let folder = tempfile::tempdir().unwrap();
+    let page = |more: &[&str]| {
+        written_page(&results, &folder.path().join("page.html"), more, Path::new("/dev/null"))
+    };
+    let all = page(&[]);
+    let claim = between(&all, "id=\"claim-vision_is_enough_for_force\"", "</details>");
+    let reading = "<span class=\"reading\">recommended, 6 datasets</span>";
+    assert_eq!(claim.matches(reading).count(), 2, "{claim}");
+    let below = claim.split(reading).nth(1).unwrap();
+    assert!(below.contains("<span class=\"verdict holds\">holds"), "{below}");
+    let one = page(&["multi_to_multi"]);
+    assert!(!one.contains("class=\"reading\""), "a page of chosen experiments is about these");
 }
 
 #[test]
@@ -130,13 +151,15 @@ fn unescaped(text: &str) -> String {
 fn verdicts_are_those_of_harness_claims() {
     let table = succeed(&RESULTS, &["claims"]);
     let summary = table.lines().find(|line| line.contains(" hold, ")).unwrap();
-    let counts: Vec<&str> =
-        summary.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty()).take(4).collect();
-    for (class, count) in ["holds", "fails", "undecided", "untestable"].iter().zip(&counts) {
+    let numbers = summary.split(';').next().unwrap().split(|c: char| !c.is_ascii_digit());
+    let counts: Vec<usize> = numbers.filter_map(|word| word.parse().ok()).collect();
+    // On the page, verdicts without runs are undecided too.
+    let [holds, fails, undecided, untestable, without] = counts[..] else { panic!("{summary}") };
+    let of_page = [holds, fails, undecided + without, untestable];
+    for (class, count) in ["holds", "fails", "undecided", "untestable"].iter().zip(of_page) {
         let shown = between(&PAGE, &format!("<div class=\"{class}\">"), "</div>");
-        assert_eq!(between(shown, "<dd>", "</dd>"), *count, "{class}: {summary}");
-        let verdicts = PAGE.matches(&format!("<span class=\"verdict {class}\">")).count();
-        assert_eq!(verdicts.to_string(), *count);
+        assert_eq!(between(shown, "<dd>", "</dd>"), count.to_string(), "{class}: {summary}");
+        assert_eq!(PAGE.matches(&format!("<span class=\"verdict {class}\">")).count(), count);
     }
 }
 

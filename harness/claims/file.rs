@@ -2,7 +2,8 @@
 
 use super::Claim;
 use super::metric::ClaimMetric;
-use harness_spec::{BuiltIn, SpecError, find};
+use harness_registry::Registry;
+use harness_spec::{BuiltIn, Experiment, SpecError, find};
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
@@ -18,6 +19,23 @@ pub struct ClaimsFile {
     pub readings: Option<PathBuf>,
     /// The claims, in the order of the file.
     pub claims: Vec<Claim>,
+}
+
+impl ClaimsFile {
+    /// The spec of [`Self::readings`], if it has runs. With `quick`, it is about the quick runs.
+    ///
+    /// # Errors
+    /// When the spec can't be read or is invalid.
+    pub fn spec_of_readings(
+        &self,
+        registry: &Registry,
+        quick: bool,
+    ) -> Result<Option<Experiment>, SpecError> {
+        let Some(path) = &self.readings else { return Ok(None) };
+        let spec = harness_spec::load(path, &[], quick)?;
+        let has_runs = registry.runs().join(&spec.name).is_dir();
+        Ok(has_runs.then_some(spec))
+    }
 }
 
 /// The paper's claims, `experiments/claims.yaml`.

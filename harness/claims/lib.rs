@@ -12,7 +12,7 @@ mod table;
 pub use contacts::{Contacts, contacts};
 pub use file::{ClaimsFile, load};
 pub use plan::{More, Plan, Step, plan};
-pub use readings::{Matrix, OWN, Readings, Row as MatrixRow};
+pub use readings::{Matrix, OWN, Readings, Row as MatrixRow, described};
 pub use table::table;
 
 use harness_analysis::{

@@ -229,3 +229,17 @@ fn by_scenario<'c>(claim: &'c Claim, judged: Vec<Vec<Judgment<'c>>>) -> Vec<Row<
     }
     rows
 }
+
+/// What a reading of a spec is, or [`OWN`], in words.
+pub fn described(spec: &Experiment, name: &str) -> String {
+    if name == OWN {
+        return "the experiments that the claims name".into();
+    }
+    match spec.readings.iter().find(|reading| reading.name == name) {
+        Some(Reading { choice, instead, .. }) => format!("{}: {choice}: {instead}", spec.name),
+        None => match spec.readings.as_slice() {
+            [only] => format!("{}: {}", spec.name, only.base),
+            _ => format!("{}: the spec's own settings", spec.name),
+        },
+    }
+}

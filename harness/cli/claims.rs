@@ -8,8 +8,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
-    self, Claim, ClaimsFile, Each, Judgment, Matrix, MatrixRow, OWN, Plan, Readings, Step, Values, Verdict,
-    corrected,
+    self, Claim, Each, Judgment, Matrix, MatrixRow, OWN, Plan, Readings, Step, Values, Verdict, corrected,
 };
 use harness::numbers::{counted, duration, rounded};
 use harness::registry::{Registry, quoted};
@@ -55,7 +54,9 @@ impl Claims {
             return self.execute_readings(registry, path, &chosen, form);
         }
         let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
-        if let Some(spec) = self.readings_of(&file, registry)? {
+        // A plan is about the claims' own experiments, and so are chosen settings.
+        let is_about_all = !self.plan && self.settings.is_empty();
+        if let Some(spec) = file.spec_of_readings(registry, self.quick)?.filter(|_| is_about_all) {
             let readings = Readings::new(registry, &spec, &chosen, &[])?;
             let matrix = readings.judge_beside(&chosen, &runs, self.quick)?.without_empty();
             if matrix.readings.iter().any(|name| *name != OWN) {
@@ -94,17 +95,6 @@ impl Claims {
     fn experiments(&self, claims: &[&Claim]) -> Vec<String> {
         let all: BTreeSet<String> = claims.iter().flat_map(|claim| claim.experiments(self.quick)).collect();
         all.into_iter().collect()
-    }
-
-    /// The spec of the readings that the file of claims names, if it has runs. A plan is about the claims' own
-    /// experiments, and so are chosen settings.
-    fn readings_of(&self, file: &ClaimsFile, registry: &Registry) -> Result<Option<Experiment>> {
-        let Some(path) = file.readings.as_ref().filter(|_| !self.plan && self.settings.is_empty()) else {
-            return Ok(None);
-        };
-        let spec = spec::load(path, &[], self.quick)?;
-        let has_runs = registry.runs().join(&spec.name).is_dir();
-        Ok(has_runs.then_some(spec))
     }
 
     fn print_families(&self, families: &Families, form: Form) -> Result<ExitCode> {
@@ -332,7 +322,7 @@ fn print_beside(spec: &Experiment, matrix: &Matrix) {
     }
     print_text("\nn: number of datasets");
     for (place, name) in matrix.readings.iter().enumerate() {
-        print_text(&format!("{name}: {}", described(spec, name)));
+        print_text(&format!("{name}: {}", claims::described(spec, name)));
         print_counts(&matrix.column(place).collect::<Vec<_>>(), &corrected[place]);
     }
     if !matrix.left_out.is_empty() {
@@ -354,20 +344,6 @@ fn listed_beside(matrix: &Matrix, row: usize, cells: &[String], limit: u16) -> S
         .zip(cells)
         .map(|(name, cell)| fitted(&format!("  {name}: {}", cell.replace('\n', ": ")), Some(limit)));
     [heading, condition].into_iter().chain(lines).collect::<Vec<_>>().join("\n") + "\n"
-}
-
-/// What a reading is.
-fn described(spec: &Experiment, name: &str) -> String {
-    if name == OWN {
-        return "the experiments that the claims name".into();
-    }
-    match spec.readings.iter().find(|reading| reading.name == name) {
-        Some(Reading { choice, instead, .. }) => format!("{}: {choice}: {instead}", spec.name),
-        None => match spec.readings.as_slice() {
-            [only] => format!("{}: {}", spec.name, only.base),
-            _ => format!("{}: the spec's own settings", spec.name),
-        },
-    }
 }
 
 /// Prints the numbers of verdicts, those that a correction makes undecided, and the requirements that are not met.

@@ -47,7 +47,7 @@ fn page(path: &str) -> Result<PathBuf, String> {
 impl Report {
     /// Writes the report.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let claims = claims::load(&self.claims)?.claims;
+        let claims = claims::load(&self.claims)?;
         let readings = spec::load(&self.readings, &[], self.quick)?;
         let asked = Asked { experiments: self.experiments, settings: self.settings, quick: self.quick };
         let page = report::page(registry, &claims, &readings, &asked, &Bars::default())?;

@@ -31,13 +31,13 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use clips::Shot;
 use harness_analysis::{Analysis, AnalysisError, Selection, Setting, has_settings};
 use harness_catalog::QueryError;
-use harness_claims::{self as claims, Claim, ClaimsError};
+use harness_claims::{self as claims, Claim, ClaimsError, ClaimsFile};
 use harness_figures::source::{Experiments, Source};
 use harness_figures::{FORCES_SQL, FigureError};
 use harness_registry::{Registry, RunRecord, Status, quoted};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
-use harness_spec::{Experiment, QUICK, Scenario};
+use harness_spec::{Experiment, QUICK, Scenario, SpecError};
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
@@ -62,6 +62,9 @@ pub enum ReportError {
     /// A claim can't be judged, for example because its query is wrong.
     #[error(transparent)]
     Claims(#[from] ClaimsError),
+    /// The spec of the readings that the claims name is invalid.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
     /// The runs can't be selected.
     #[error(transparent)]
     Analysis(#[from] AnalysisError),
@@ -301,7 +304,7 @@ struct Data {
 ///
 /// # Arguments
 /// * `registry`: the runs of the results folder
-/// * `claims`: the statements to judge
+/// * `file`: the statements to judge. On a page of all results, they are also judged by the readings that it names
 /// * `readings`: the experiment with the readings of the paper, under which the claims are also judged
 /// * `asked`: the experiments and runs that the page is about
 /// * `progress`: shows how far the work is
@@ -311,14 +314,14 @@ struct Data {
 /// wrong. Other missing runs and a missing OpenGL driver are no errors.
 pub fn page(
     registry: &Registry,
-    claims: &[Claim],
+    file: &ClaimsFile,
     readings: &Experiment,
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
     let others = Others::of(registry);
     let asked = &asked.resolved(&others);
-    let (all_claims, claims): (Vec<&Claim>, _) = (claims.iter().collect(), asked.claims(claims));
+    let (all_claims, claims): (Vec<&Claim>, _) = (file.claims.iter().collect(), asked.claims(&file.claims));
     let quick = asked.is_quick();
     let analysis = asked.analysis(registry, &claims, readings)?;
     let roles = subjects::roles(&analysis, asked);
@@ -326,7 +329,12 @@ pub fn page(
     let scenarios = subjects::scenarios(&analysis, asked);
     let source = Source::new(&analysis, roles);
     let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
-    let verdicts = verdicts::Verdicts::of(&analysis, &claims, quick)?;
+    let is_about_all = asked.experiments.is_empty() && asked.settings.is_empty();
+    let families = match is_about_all {
+        true => file.spec_of_readings(registry, quick)?,
+        false => None,
+    };
+    let verdicts = verdicts::Verdicts::of(registry, &analysis, &claims, families.as_ref(), quick)?;
     let readings = match asked.has(&readings.name) {
         true => Some(readings::of(registry, &analysis, readings, &all_claims, asked)?),
         false => None,

@@ -2,9 +2,13 @@
 
 use super::ReportError;
 use harness_analysis::{Analysis, Mixed};
-use harness_claims::{Claim, Condition, Contacts, Each, Judgment, Verdict, contacts, corrected, judge};
+use harness_claims::{
+    Claim, Condition, Contacts, Each, Judgment, Matrix, Readings, Verdict, contacts, corrected, described,
+    judge,
+};
+use harness_registry::Registry;
 use harness_shared::numbers::{counted, rounded};
-use harness_spec::Scenario;
+use harness_spec::{Experiment, Scenario};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -17,6 +21,8 @@ pub struct Verdicts {
     unsure: usize,
     /// How often links are touched in the datasets that the claims are judged on.
     contacts: Vec<String>,
+    /// The readings that the claims are also judged by.
+    readings: Vec<OfReading>,
     /// The commands that make the runs of claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
@@ -32,6 +38,29 @@ struct Counts {
     fails: usize,
     undecided: usize,
     untestable: usize,
+}
+
+/// The verdicts under a reading on the claims that it has runs for, counted.
+#[derive(Serialize)]
+struct OfReading {
+    name: String,
+    described: String,
+    all: usize,
+    counts: Counts,
+    /// The number of verdicts that Holm's correction makes undecided.
+    unsure: usize,
+}
+
+/// The judgment under a reading, beside that by the claim's own experiments.
+#[derive(Serialize)]
+struct Beside {
+    reading: String,
+    value: String,
+    datasets: String,
+    verdict: String,
+    class: &'static str,
+    p: Option<String>,
+    stands: bool,
 }
 
 /// A claim and its judgments in words. There is one judgment per scenario, or one over both scenarios.
@@ -78,6 +107,8 @@ struct Words {
     values: Vec<(String, String)>,
     /// The judgment as a picture. `None` without data.
     strip: Option<Strip>,
+    /// The judgments under other readings.
+    others: Vec<Beside>,
 }
 
 /// A judgment as a small picture. All positions are in percent of its width.
@@ -93,12 +124,20 @@ struct Strip {
 }
 
 impl Verdicts {
-    /// Judges the claims with the runs of an analysis.
+    /// Judges the claims with the runs of an analysis and, if a spec with readings is given, by these readings.
     ///
     /// # Errors
     /// When a claim's query is wrong, or a table is damaged.
-    pub fn of(analysis: &Analysis, claims: &[&Claim], quick: bool) -> Result<Self, ReportError> {
+    pub fn of(
+        registry: &Registry,
+        analysis: &Analysis,
+        claims: &[&Claim],
+        spec: Option<&Experiment>,
+        quick: bool,
+    ) -> Result<Self, ReportError> {
+        let families = spec.map(|spec| Families::of(registry, claims, spec)).transpose()?;
         let mut verdicts = Self {
+            readings: families.as_ref().map(Families::counted).unwrap_or_default(),
             claims: Vec::new(),
             counts: Counts::default(),
             unsure: 0,
@@ -125,7 +164,13 @@ impl Verdicts {
             let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgments.len()).collect();
             let corrected = || judgments.iter().zip(p_values.iter().copied());
             verdicts.unsure += corrected().filter(|(judgment, p)| !judgment.stands(*p)).count();
-            verdicts.claims.push(Judged::new(claim, quick, corrected()));
+            let mut judged = Judged::new(claim, quick, corrected());
+            if let Some(families) = &families {
+                for (words, judgment) in judged.judgments.iter_mut().zip(judgments) {
+                    words.others = families.beside(judgment);
+                }
+            }
+            verdicts.claims.push(judged);
         }
         verdicts.commands =
             lacking.into_iter().filter_map(|experiment| analysis.command(experiment, quick)).collect();
@@ -143,6 +188,66 @@ impl Counts {
                 self.undecided += 1
             }
         }
+    }
+}
+
+/// The judgments by the readings of a spec.
+struct Families<'a> {
+    spec: &'a Experiment,
+    matrix: Matrix<'a>,
+    /// For each reading, the p-values of its judgments after Holm's correction.
+    corrected: Vec<Vec<Option<f64>>>,
+}
+
+impl<'a> Families<'a> {
+    fn of(registry: &Registry, claims: &[&'a Claim], spec: &'a Experiment) -> Result<Self, ReportError> {
+        let matrix = Readings::new(registry, spec, claims, &[])?.judge(claims)?.without_empty();
+        let places = 0..matrix.readings.len();
+        let corrected = places.map(|place| corrected(matrix.column(place))).collect();
+        Ok(Self { spec, matrix, corrected })
+    }
+
+    fn counted(&self) -> Vec<OfReading> {
+        let of = |(place, name): (usize, &&str)| {
+            let mut counts = Counts::default();
+            let verdicts = self.matrix.column(place).map(Judgment::verdict);
+            let verdicts: Vec<Verdict> = verdicts.filter(|verdict| *verdict != Verdict::NoData).collect();
+            verdicts.iter().for_each(|verdict| counts.add(*verdict));
+            let both = self.matrix.column(place).zip(&self.corrected[place]);
+            OfReading {
+                name: (*name).to_owned(),
+                described: described(self.spec, name),
+                all: verdicts.len(),
+                counts,
+                unsure: both.filter(|(judgment, p)| !judgment.stands(**p)).count(),
+            }
+        };
+        self.matrix.readings.iter().enumerate().map(of).collect()
+    }
+
+    /// The judgments under the readings of the same claim in the same scenario that have runs.
+    fn beside(&self, own: &Judgment) -> Vec<Beside> {
+        let is_same =
+            |judgment: &Judgment| judgment.claim.id() == own.claim.id() && judgment.scenario == own.scenario;
+        let Some(row) = self.matrix.rows.iter().position(|row| is_same(row.base())) else {
+            return Vec::new();
+        };
+        let names = self.matrix.readings.iter().zip(&self.matrix.rows[row].judgments).zip(&self.corrected);
+        names
+            .filter(|((_, judgment), _)| judgment.verdict() != Verdict::NoData)
+            .map(|((name, judgment), corrected)| {
+                let words = Words::new(judgment, corrected[row]);
+                Beside {
+                    reading: (*name).to_owned(),
+                    value: words.value,
+                    datasets: words.datasets,
+                    verdict: words.verdict,
+                    class: words.class,
+                    p: words.p,
+                    stands: words.stands,
+                }
+            })
+            .collect()
     }
 }
 
@@ -197,6 +302,7 @@ impl Words {
             datasets: counted(judgment.measured.datasets(), "dataset"),
             values: values.map(|(scenario, (at, value))| (place(scenario, at), rounded(*value))).collect(),
             strip: Strip::of(judgment),
+            others: Vec::new(),
         }
     }
 }

@@ -194,7 +194,7 @@ pub fn report(
     let cancelled = AtomicBool::new(false);
     let listener = Listener::new(progress, &cancelled);
     let write = || -> PyResult<()> {
-        let claims = harness::claims::load(&claims).map_err(Raise::raise)?.claims;
+        let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
         let readings = harness::spec::load(&readings, &[], quick).map_err(Raise::raise)?;
         let asked = Asked { experiments, settings, quick };
         let page = harness::report::page(&registry, &claims, &readings, &asked, &listener);
