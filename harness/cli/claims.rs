@@ -163,10 +163,17 @@ fn write_matrix(matrix: &Matrix, form: Form) -> Result<ExitCode> {
     for note in &matrix.notes {
         eprintln!("{note}");
     }
-    let judgments: Vec<&Judgment> = matrix.rows.iter().flat_map(|row| &row.judgments).collect();
-    let mut table = claims::table(&judgments)?;
-    let readings = matrix.readings.iter().cycle().take(judgments.len()).copied();
-    table.insert_column(0, Column::new("reading".into(), readings.collect::<Vec<_>>()))?;
+    // The p-values are corrected for the number of tests under a reading.
+    let of_reading = |(place, name): (usize, &&str)| -> Result<DataFrame> {
+        let mut table = claims::table(&matrix.column(place).collect::<Vec<_>>())?;
+        table.insert_column(0, Column::new("reading".into(), vec![*name; table.height()]))?;
+        Ok(table)
+    };
+    let mut tables = matrix.readings.iter().enumerate().map(of_reading);
+    let Some(mut table) = tables.next().transpose()? else { bail!("there are no readings") };
+    for more in tables {
+        table.vstack_mut(&more?)?;
+    }
     write(table, form)
 }
 

@@ -400,6 +400,7 @@ def add_metric(
 def claims(
     *names: str,
     file: str | os.PathLike[str] = "claims",
+    reading: str | None = None,
     quick: bool = False,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
@@ -410,6 +411,8 @@ def claims(
         names: names of claims. Without any, all claims are judged.
         file: the YAML file of claims. `claims` is the built-in one, unless the folder has a file
             `experiments/claims.yaml`.
+        reading: judges by the runs under this reading of the spec that the file names, such as "recommended", instead
+            of the claims' own experiments.
         quick: judges by the quick runs of the experiments.
         where: settings that the runs must have, by dotted key, as in `compare`.
         results: the folder of datasets and runs.
@@ -420,18 +423,21 @@ def claims(
 
     Raises:
         FileNotFoundError: there is no such file, or no results folder.
-        ValueError: a claim is unknown, or the file is wrong.
+        ValueError: a claim or a reading is unknown, the reading's spec has no runs, or the file is wrong.
         RuntimeError: a table is damaged.
 
     Example:
         >>> verdicts = harness.claims("vision_improves_force_r2", results="results/reference")
         >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
         (['empty', 'cluttered'], ['holds', 'undecided'])
+        >>> verdicts = harness.claims("vision_improves_force_r2", reading="recommended", results="results/reference")
+        >>> verdicts["verdict"].to_list()
+        ['holds', 'holds']
     """
     import polars
 
     chosen = _names("names", names)
-    return polars.DataFrame(_harness.claims(chosen, Path(file), quick, _settings(where), Path(results)))
+    return polars.DataFrame(_harness.claims(chosen, Path(file), reading, quick, _settings(where), Path(results)))
 
 
 def figures(

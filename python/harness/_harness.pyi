@@ -47,7 +47,7 @@ def compare(experiments: list[str], settings: list[str], results: Path) -> Table
     """See `harness.compare`."""
 
 def claims(
-    chosen: list[str], file: Path, quick: bool, settings: list[str], results: Path
+    chosen: list[str], file: Path, reading: str | None, quick: bool, settings: list[str], results: Path
 ) -> Table:
     """See `harness.claims`."""
 

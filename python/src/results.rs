@@ -4,7 +4,7 @@ use crate::errors::Raise;
 use crate::run::{Listener, Table, settings_of, warn, writable};
 use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Key, Selection};
-use harness::claims::ClaimsError;
+use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
 use harness::figures::source::{Experiments, Source};
@@ -35,25 +35,52 @@ pub fn claims(
     py: Python,
     chosen: Vec<String>,
     file: PathBuf,
+    reading: Option<String>,
     quick: bool,
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Table> {
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
+    let written = |judgments: &[&Judgment]| {
+        let table = harness::claims::table(judgments);
+        table.map_err(|error| PyRuntimeError::new_err(error.to_string()))
+    };
     let judge = || -> PyResult<_> {
-        let all = harness::claims::load(&file).map_err(Raise::raise)?.claims;
-        let chosen = harness::claims::choose(&all, &chosen).map_err(refused)?;
+        let all = harness::claims::load(&file).map_err(Raise::raise)?;
+        let chosen = harness::claims::choose(&all.claims, &chosen).map_err(refused)?;
+        if let Some(reading) = &reading {
+            let spec = all.spec_of_readings(&registry, quick).map_err(Raise::raise)?;
+            let spec = spec.ok_or_else(|| PyValueError::new_err(no_readings(&all)))?;
+            let readings = Readings::new(&registry, &spec, &chosen, &settings).map_err(Raise::raise)?;
+            let matrix = readings.judge(&chosen).map_err(refused)?;
+            let place = matrix.readings.iter().position(|name| name == reading).ok_or_else(|| {
+                let there = matrix.readings.join(", ");
+                PyValueError::new_err(format!("no reading is called '{reading}'; the readings are {there}"))
+            })?;
+            return written(&matrix.column(place).collect::<Vec<_>>());
+        }
         let runs = harness::claims::runs(&registry, &chosen, &settings, quick).map_err(Raise::raise)?;
         let mut judgments = Vec::new();
         for claim in chosen {
             judgments.extend(harness::claims::judge(&runs, claim, quick).map_err(refused)?);
         }
-        let table = harness::claims::table(&judgments.iter().collect::<Vec<_>>());
-        table.map_err(|error| PyRuntimeError::new_err(error.to_string()))
+        written(&judgments.iter().collect::<Vec<_>>())
     };
     let table = interruptible(py, judge, || ())??;
     warn(py, &registry)?;
     Ok(Table(table))
+}
+
+/// The message that the readings of a file of claims have no runs, or that it names none.
+fn no_readings(file: &ClaimsFile) -> String {
+    match &file.readings {
+        None => "the file of claims names no readings; add the key `readings` with the name of a spec".into(),
+        Some(path) => format!(
+            "there are no runs of {}; make them with `harness run {}`",
+            path.display(),
+            path.display()
+        ),
+    }
 }
 
 fn refused(error: ClaimsError) -> PyErr {

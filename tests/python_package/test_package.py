@@ -291,7 +291,16 @@ def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> 
     command = [Path(sys.executable).parent / "harness", "--results", reference]
     subprocess.run([*command, "claims", "--output", tmp_path / "verdicts.parquet"], cwd=ROOT, check=True)
     verdicts = harness.claims(file=ROOT / "experiments/claims.yaml", results=reference)
-    assert verdicts.equals(polars.read_parquet(tmp_path / "verdicts.parquet")) and verdicts.height > 10
+    written = polars.read_parquet(tmp_path / "verdicts.parquet")
+    own = written.filter(polars.col("reading") == "own experiments").drop("reading")
+    assert verdicts.equals(own) and verdicts.height > 10
+    recommended = harness.claims(file=ROOT / "experiments/claims.yaml", reading="recommended", results=reference)
+    of_reading = written.filter((polars.col("reading") == "recommended") & polars.col("mean").is_not_null())
+    assert recommended.filter(polars.col("mean").is_not_null()).equals(of_reading.drop("reading"))
+    chosen = recommended.filter(polars.col("claim") == "vision_is_enough_for_force")
+    assert chosen["verdict"].to_list() == ["holds", "holds"] and set(chosen["datasets"]) == {6}
+    with pytest.raises(ValueError, match="no reading is called 'best'; the readings are base, recommended"):
+        harness.claims(file=ROOT / "experiments/claims.yaml", reading="best", results=reference)
     one = harness.claims(verdicts["claim"][0], file=ROOT / "experiments/claims.yaml", results=reference)
     assert one["claim"].unique().to_list() == [verdicts["claim"][0]]
     drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
@@ -699,7 +708,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
         "compare": lambda: _harness.compare(["smoke"], [], results),
-        "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", False, [], results),
+        "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", None, False, [], results),
         "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, [], results),
         "plot": lambda: _harness.plot(
             ["smoke"],
