@@ -774,7 +774,7 @@ fn write_paper(
 }
 
 #[test]
-fn claims_are_judged_by_readings_and_by_their_own_experiments_side_by_side() {
+fn claims_are_judged_by_readings_and_by_their_own_experiments() {
     let (folder, registry) = results(&[0, 1, 2], |_| Same);
     let sizes = |spec: &RunSpec| match spec.role() {
         Some("single_to_multi") => &[2, 4, 16][..],
@@ -838,7 +838,7 @@ fn a_reading_without_runs_has_no_column() {
 }
 
 #[test]
-fn runs_of_another_experiment_stand_for_a_role_until_it_has_its_own() {
+fn runs_of_another_experiment_stand_for_those_of_a_reading() {
     let folder = tempfile::tempdir().unwrap();
     let registry = Registry::new(folder.path());
     let sizes = |spec: &RunSpec| match (spec.reading(), spec.role()) {
@@ -871,7 +871,7 @@ fn runs_of_another_experiment_stand_for_a_role_until_it_has_its_own() {
 
 /// The published runs with vision that stand for those of the recommended network have its settings.
 #[test]
-fn published_runs_that_stand_for_a_role_have_the_settings_of_its_reading() {
+fn runs_that_stand_for_a_role_have_the_settings_of_its_reading() {
     let spec = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
     let settings = |spec: &RunSpec| {
         let mut settings = serde_json::to_value(spec).unwrap();

@@ -80,7 +80,7 @@ fn data(page: &str) -> Value {
 
 /// The published runs of paper.yaml judge the claims beside the claims' own experiments.
 #[test]
-fn claims_of_all_results_have_the_verdicts_of_readings_below_their_own() {
+fn verdicts_of_readings_are_below_those_of_own_experiments() {
     let results = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let folder = tempfile::tempdir().unwrap();
     let page = |more: &[&str]| {

@@ -392,7 +392,9 @@ fn runs_are_listed_in_one_line_each() {
 #[test]
 fn a_verdict_is_on_the_line_of_its_scenario_and_value() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let all = ["--results", "results/reference", "claims"];
+    let beside = ["--results", "results/reference", "claims"];
+    // Runs with a chosen setting are those of the claims' own experiments.
+    let all = [&beside[..], &["--where", "action=increment"]].concat();
     let one = [&all[..], &["forces_are_distal"]].concat();
     for width in WIDTHS {
         for arguments in [&all[..], &one[..]] {
@@ -401,8 +403,10 @@ fn a_verdict_is_on_the_line_of_its_scenario_and_value() {
             let lines = lines.filter(|line| line.contains("empty") && line.contains("holds"));
             assert_eq!(lines.count(), 1, "{arguments:?} at {width}: {said}");
         }
-        let said = on_terminal(root, width, &all);
-        assert!(too_wide(&said, width).is_empty(), "at {width}: {said}");
+        for arguments in [&all[..], &beside[..]] {
+            let said = on_terminal(root, width, arguments);
+            assert!(too_wide(&said, width).is_empty(), "at {width}: {said}");
+        }
     }
 }
 

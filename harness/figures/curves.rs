@@ -225,7 +225,8 @@ pub fn explain(page: &mut Page, middle: f64, y: f64) {
     }
 }
 
-/// Draws two panels of one metric side by side, with one vertical scale. Returns whether an end of an interval lies beyond the axis.
+/// Draws two panels of one metric side by side, with one vertical scale. Returns whether an end of an interval lies
+/// beyond the axis.
 pub fn pair(page: &mut Page, [top, height]: [f64; 2], panels: [&Measured; 2], label: &str) -> bool {
     let left = Panel { left: 33.0, top, width: 97.0, height };
     let right = Panel { left: left.right() + 10.0, ..left };

@@ -380,7 +380,7 @@ def check_curves(figure, quick, tables=("metrics",)):
         & pl.col("index").is_null()
     )
     cells = networks.filter(pl.col("model") == "network")
-    cells = cells.select("experiment", "modality", "scenario", "direction", "latent")
+    cells = cells.select("experiment", "modality", "metric", "scenario", "direction", "latent")
     shown = found.filter(pl.col("model") == "network").height
     check(shown == cells.unique().height, figure, "shows", shown, "cells instead of", cells.unique().height)
     for row in found.iter_rows(named=True):
