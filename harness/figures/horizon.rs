@@ -96,9 +96,10 @@ fn draw_rows(
     let legends = rows_of(&entries);
     let scales = rows.each_ref().map(|row| {
         let [low, high] = range(&row.means);
-        // The skill of persistence is 0, and that of a perfect prediction is 1.
+        // The skill of persistence is 0. The skill and R² of a perfect prediction are 1.
         let is_skill = row.plot.y == Metric::Skill.name();
-        let [low, high] = if is_skill { [low.min(0.0), high.clamp(0.0, 1.0)] } else { [low, high] };
+        let low = if is_skill { low.min(0.0) } else { low };
+        let high = if is_skill || row.plot.y == Metric::R2.name() { high.clamp(0.0, 1.0) } else { high };
         move |ends| Scale::linear(low, high, 5, ends)
     });
     let time = |horizon: usize| seconds.map_or(horizon as f64, |seconds| horizon as f64 * seconds);
