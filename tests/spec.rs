@@ -173,7 +173,10 @@ fn a_memory_needs_consecutive_samples() {
     let experiment = load(&[gru[0], gru[1], "window.start=rest", "window.horizon=3"]).unwrap();
     assert_eq!((experiment.network.memory, experiment.window.context), (Memory::Gru, 50));
     for (overrides, expected) in [
-        (&gru[..1], "needs a context of several samples; use for example window.context: 50, or"),
+        (
+            &gru[..1],
+            "needs a context of several samples, or a horizon above 1; use for example window.context: 50, or",
+        ),
         (&[gru[0], gru[1], "split.by=sample"], "which a split by sample tears apart; use episode or time"),
         (&[gru[0], gru[1], "split.by=time", "window.start=rest"], "leaves no whole episodes to start from"),
         (&[gru[0], gru[1], "training.burn_in=50"], "leaves nothing of a context of 50; use less"),
@@ -185,6 +188,8 @@ fn a_memory_needs_consecutive_samples() {
         let said = load(overrides).unwrap_err();
         assert!(said.contains(expected), "{said}");
     }
+    // The memory then carries the state of the present sample forward.
+    assert_eq!(load(&[gru[0], "window.horizon=3"]).unwrap().window.context, 1);
     // What is not said is not stored, so that runs without memory keep their names.
     let json = |overrides: &[&str]| serde_json::to_value(&load(overrides).unwrap().runs()[0]).unwrap();
     assert_eq!(json(&["network.memory=none", "window.start=random"]), json(&[]));
@@ -1201,7 +1206,7 @@ fn readings() -> String {
     };
     let lists = reading("target", "action: target") + &reading("long", "training.epochs: 7, split.by: time");
     base_with("scenarios: [empty]")
-        + "roles: {small: {latent: 2, output: contact_force}, large: {latent: [4]}}\n"
+        + "roles: {small: {latent: 2, output: contact_force}, large: {latent: [4], training.epochs: 9}}\n"
         + &format!("readings:\n{lists}vary: {{simulation.seed: [0, 5]}}\n")
 }
 
@@ -1218,7 +1223,13 @@ fn each_reading_changes_one_choice_for_every_role_and_dataset() {
     for run in &runs {
         let reading = run.reading().unwrap();
         assert_eq!(run.action == Action::Target, reading == "target");
-        assert_eq!(run.trained().unwrap().training.epochs, if reading == "long" { 7 } else { 200 });
+        // A reading replaces the settings of a role.
+        let epochs = match (reading, run.role().unwrap()) {
+            ("long", _) => 7,
+            (_, "large") => 9,
+            _ => 200,
+        };
+        assert_eq!(run.trained().unwrap().training.epochs, epochs);
         assert_eq!(run.split.by == Division::Time, reading == "long");
         assert_eq!(run.output.len(), if run.role() == Some("small") { 1 } else { 2 });
         assert_eq!(run.trained().unwrap().training.loss_weights.len(), run.output.len());

@@ -12,7 +12,7 @@ use harness_yaml::{Entry, Node, Place};
 use serde_json::Value as Json;
 use std::borrow::Cow;
 use std::collections::hash_map;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -118,6 +118,21 @@ impl Experiment {
         Self { readings, roles, vary, search: None, ..self.clone() }
     }
 
+    /// Returns the names of the readings, [`Reading::BASE`] first.
+    pub fn names_of_readings(&self) -> Vec<&str> {
+        std::iter::once(Reading::BASE)
+            .chain(self.readings.iter().map(|reading| reading.name.as_str()))
+            .collect()
+    }
+
+    /// Returns the names of the experiments whose runs stand for the readings: its own name, then those that the
+    /// readings name.
+    pub fn experiments_of_readings(&self) -> Vec<String> {
+        let others = self.readings.iter().flat_map(|reading| reading.runs.values());
+        let others: BTreeSet<&String> = others.map(|runs| &runs.experiment).collect();
+        std::iter::once(&self.name).chain(others).cloned().collect()
+    }
+
     /// Whether the experiment has readings, roles, varied settings or trials, which change its own settings.
     pub(super) fn has_variants(&self) -> bool {
         !(self.readings.is_empty() && self.roles.is_empty() && self.vary.is_empty() && self.search.is_none())
@@ -127,21 +142,23 @@ impl Experiment {
     /// combination if the experiment has none of them.
     pub(super) fn combinations<'a>(&'a self) -> Vec<Combination<'a>> {
         let mut combinations = vec![Combination::default()];
-        if !self.readings.is_empty() {
-            let mut readings = vec![(Reading::BASE, Vec::new())];
-            let settings =
-                |one: &'a Reading| one.settings.iter().map(|(key, value)| (key.as_str(), value)).collect();
-            readings.extend(self.readings.iter().map(|one| (one.name.as_str(), settings(one))));
-            combinations = combinations.iter().flat_map(|one| one.each("reading", &readings)).collect();
-        }
         if !self.roles.is_empty() {
-            let settings = |role: &'a Json| -> Vec<(&str, &Json)> {
+            let role = |(name, role): (&'a String, &'a Json)| {
                 let settings = role.as_object().into_iter().flatten();
-                settings.map(|(key, value)| (key.as_str(), value)).collect()
+                Combination::of("role", name, settings.map(|(key, value)| (key.as_str(), value)))
             };
-            let roles: Vec<_> =
-                self.roles.iter().map(|(name, role)| (name.as_str(), settings(role))).collect();
-            combinations = combinations.iter().flat_map(|one| one.each("role", &roles)).collect();
+            combinations = self.roles.iter().map(role).collect();
+        }
+        if !self.readings.is_empty() {
+            let reading = |one: &'a Reading| {
+                let settings = one.settings.iter().map(|(key, value)| (key.as_str(), value));
+                Combination::of("reading", &one.name, settings)
+            };
+            let base = Combination::of("reading", Reading::BASE, std::iter::empty());
+            let readings = std::iter::once(base).chain(self.readings.iter().map(reading));
+            combinations = readings
+                .flat_map(|reading| combinations.iter().map(move |role| role.under(&reading)))
+                .collect();
         }
         for (key, values) in &self.vary {
             combinations = combinations.iter().flat_map(|one| one.each_value(key, values)).collect();
@@ -227,15 +244,18 @@ pub(super) struct Combination<'a> {
 }
 
 impl<'a> Combination<'a> {
-    /// Returns this combination extended by each of several named groups of settings.
-    fn each(&self, kind: &str, groups: &[(&str, Vec<(&'a str, &'a Json)>)]) -> Vec<Self> {
-        let with = |(name, settings): &(&str, Vec<(&'a str, &'a Json)>)| {
-            let mut combination = self.clone();
-            combination.names.push(format!("{kind}={name}"));
-            combination.settings.extend(settings.iter().map(|(key, value)| (*key, Cow::Borrowed(*value))));
-            combination
-        };
-        groups.iter().map(with).collect()
+    /// Returns the combination of one named group of settings.
+    fn of(kind: &str, name: &str, settings: impl Iterator<Item = (&'a str, &'a Json)>) -> Self {
+        let settings = settings.map(|(key, value)| (key, Cow::Borrowed(value))).collect();
+        Self { names: vec![format!("{kind}={name}")], settings }
+    }
+
+    /// Returns this combination with the settings of a reading, which replace its own. The reading is named first.
+    fn under(&self, reading: &Self) -> Self {
+        Self {
+            names: [&*reading.names, &*self.names].concat(),
+            settings: [&*self.settings, &*reading.settings].concat(),
+        }
     }
 
     /// Returns this combination extended by each value of a setting.

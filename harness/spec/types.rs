@@ -268,7 +268,7 @@ pub struct Reading {
     pub instead: String,
     /// The sentence of the paper that leaves the choice open, with its place.
     pub paper: String,
-    /// The settings that differ from the spec's, by dotted key.
+    /// The settings that differ from the spec's, by dotted key. They also replace those of a role.
     pub settings: Settings,
     /// Runs of other experiments with the settings of this reading, by role. Claims use them until the reading has runs
     /// of its own for the role.

@@ -526,12 +526,12 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
 fn memory(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { window, simulation, input, output, network, training, split, .. } = experiment;
     let has_memory = network.memory != Memory::None;
-    if has_memory && window.context == 1 {
+    if has_memory && window.context == 1 && window.horizon == 1 {
         return fault(
             "window.context",
             format!(
-                "a network with memory needs a context of several samples; use for example window.context: {}, or \
-                 network.memory: none",
+                "a network with memory needs a context of several samples, or a horizon above 1; use for example \
+                 window.context: {}, or network.memory: none",
                 (simulation.samples_per_episode() - window.horizon).clamp(2, 50)
             ),
         );

@@ -438,18 +438,19 @@ fn assert_states(memory: Memory) {
     let (bench, architecture) = bench(memory);
     let (network, _) = built(&architecture);
     let data = &bench.data;
-    for (start, context) in [(WindowStart::Random, 5), (WindowStart::Rest, 5)] {
+    for (start, context) in [(WindowStart::Random, 5), (WindowStart::Rest, 5), (WindowStart::Random, 1)] {
+        // The second episode has the samples 16 to 31. Its first samples have a shorter context.
+        let first = |present: usize| match start {
+            WindowStart::Rest => 16,
+            WindowStart::Random => (present + 1 - context).max(16),
+        };
         let window = Window { context, start, horizon: 3, ..Window::TRANSITION };
         let latents = Latents::of(&*network, data, &ANGLES, &window).unwrap();
-        for present in [20, 31] {
-            // The second episode has the samples 16 to 31.
-            let first = if start == WindowStart::Rest { 16 } else { present + 1 - context };
-            let expected = stepped(&bench, &*network, first, present).latent;
-            assert!(close(&latents.rows(&[Sample::at(present)]).unwrap(), &expected), "{start} {present}");
+        for present in [17, 20, 31] {
+            let expected = stepped(&bench, &*network, first(present), present).latent;
+            let found = latents.rows(&[Sample::at(present)]).unwrap();
+            assert!(close(&found, &expected), "{start} {context} {present}");
         }
-        // The first samples of an episode have a shorter context.
-        let second = latents.rows(&[Sample::at(17)]).unwrap();
-        assert!(close(&second, &stepped(&bench, &*network, 16, 17).latent));
         // A prediction of three samples is three single steps, whatever other windows are predicted with it.
         let trained = TrainedNetwork {
             data,
@@ -467,8 +468,7 @@ fn assert_states(memory: Memory) {
             trained.predict(at, &mut keep).unwrap();
             found
         };
-        let first = if start == WindowStart::Rest { 16 } else { 20 };
-        let mut state = stepped(&bench, &*network, first, 24);
+        let mut state = stepped(&bench, &*network, first(24), 24);
         let mut expected = Vec::new();
         for step in 0..3 {
             state = network.act(&state, &data.actions(&[Sample::at(24 + step)]).unwrap()).unwrap();
