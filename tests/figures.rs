@@ -692,6 +692,41 @@ fn missing_runs_are_named_with_the_command_and_others_are_drawn() {
     assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);
 }
 
+/// The networks with vision of `paper/recommended` are those of the experiment senses.
+#[test]
+fn a_reading_is_drawn_with_the_runs_that_stand_for_it() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let out = fresh("figures_reading");
+    let draw = |results: &Path, reading: &str| {
+        let arguments = ["prediction_results", "--format", "csv", "--reading", reading];
+        let arguments = [&["figures", "--output", out.to_str().unwrap()], &arguments[..]].concat();
+        finish(&mut harness(results, &arguments))
+    };
+    let answer = draw(&reference, "paper/recommended");
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    let file = fs::File::open(out.join("prediction_results.csv")).unwrap();
+    let table = CsvReader::new(file).finish().unwrap();
+    let of = |row| (text(&table, "experiment", row), real(&table, "latent", row));
+    let networks = (0..table.height()).filter(|row| text(&table, "model", *row) == "network");
+    let found: BTreeSet<String> =
+        networks.map(of).map(|(experiment, latent)| format!("{experiment} {}", latent.unwrap())).collect();
+    let expected = ["paper 16", "paper 2", "paper 4", "senses 64"];
+    assert!(found.is_superset(&expected.map(str::to_owned).into()), "{found:?}");
+
+    for (reading, expected) in [
+        ("paper/nothing", "paper has no reading 'nothing'; its readings are base, recommended"),
+        ("paper", "'paper' names no reading; write EXPERIMENT/READING, for example paper/recommended"),
+        (
+            "paper/base",
+            "no finished runs of paper under the reading 'base' in the role single_to_multi; make them with `",
+        ),
+    ] {
+        let answer = draw(&RESULTS, reading);
+        assert_ne!(answer.code, 0);
+        assert!(answer.stderr.contains(expected), "{}", answer.stderr);
+    }
+}
+
 #[test]
 fn figures_of_any_robot_are_drawn_and_the_others_say_why() {
     let (results, _) = &*crate::report::PENDULUM_PAGE;

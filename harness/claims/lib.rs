@@ -3,6 +3,7 @@
 //! A claim is a statement with a query and a condition on the query's result.
 
 mod contacts;
+mod counts;
 mod file;
 mod metric;
 mod plan;
@@ -10,6 +11,7 @@ mod readings;
 mod table;
 
 pub use contacts::{Contacts, contacts};
+pub use counts::Counts;
 pub use file::{ClaimsFile, load};
 pub use plan::{More, Plan, Step, plan};
 pub use readings::{Matrix, OWN, Readings, Row as MatrixRow, described};

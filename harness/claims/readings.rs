@@ -1,9 +1,10 @@
 //! Judges claims under several readings of the paper, to find the readings that change a verdict.
 
 use super::{Claim, ClaimsError, Evidence, Judgment, Sizes, Verdict};
-use harness_analysis::{Analysis, AnalysisError, Run, Selection, Setting};
-use harness_registry::Registry;
+use harness_analysis::{Analysis, AnalysisError, Selection, Setting};
+use harness_registry::{Recorded, Registry};
 use harness_spec::{Experiment, Reading, Scenario};
+use polars::prelude::{Column, DataFrame, PolarsResult};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The name of the judgments by the claims' own experiments in a [`Matrix`].
@@ -43,9 +44,43 @@ impl Matrix<'_> {
         self
     }
 
+    /// Whether a reading has judgments, and not the claims' own experiments alone.
+    pub fn has_readings(&self) -> bool {
+        self.readings.iter().any(|name| *name != OWN)
+    }
+
     /// The judgments under the reading at a position in [`Self::readings`].
     pub fn column(&self, place: usize) -> impl Iterator<Item = &Judgment<'_>> {
         self.rows.iter().map(move |row| &row.judgments[place])
+    }
+
+    /// The judgments under each reading, with its name.
+    pub fn columns(&self) -> impl Iterator<Item = (&str, Vec<&Judgment<'_>>)> {
+        self.readings.iter().enumerate().map(|(place, name)| (*name, self.column(place).collect()))
+    }
+
+    /// The claims that a reading has runs for, in the order of the file.
+    pub fn claims(&self) -> Vec<&Claim> {
+        let mut claims: Vec<&Claim> = self.rows.iter().map(|row| row.claim).collect();
+        claims.dedup_by_key(|claim| claim.id());
+        claims
+    }
+
+    /// Converts the judgments to a table with a row for each judgment under each reading. P-values are corrected for
+    /// the number of tests under a reading.
+    ///
+    /// # Errors
+    /// When Polars can't build the table.
+    pub fn table(&self) -> PolarsResult<DataFrame> {
+        let of_reading = |(name, judgments): (&str, Vec<&Judgment>)| {
+            let mut table = super::table(&judgments)?;
+            table.insert_column(0, Column::new("reading".into(), vec![name; table.height()]))?;
+            Ok(table)
+        };
+        let mut tables = self.columns().map(of_reading);
+        let mut all = tables.next().unwrap_or_else(|| super::table(&[]))?;
+        tables.try_for_each(|table| all.vstack_mut(&table?).map(drop))?;
+        Ok(all)
     }
 }
 
@@ -91,14 +126,26 @@ impl<'a> Readings<'a> {
         claims: &[&Claim],
         settings: &[Setting],
     ) -> Result<Self, AnalysisError> {
-        let others = spec.readings.iter().flat_map(|reading| reading.runs.values());
-        let others: BTreeSet<&String> = others.map(|runs| &runs.experiment).collect();
-        let experiments: Vec<String> = std::iter::once(&spec.name).chain(others).cloned().collect();
+        Self::of(registry, registry.recorded(), spec, claims, settings)
+    }
+
+    /// Like [`Self::new`], with the runs of a results folder that were read before.
+    ///
+    /// # Errors
+    /// Like [`Self::new`].
+    pub fn of(
+        registry: &Registry,
+        recorded: Vec<Recorded>,
+        spec: &'a Experiment,
+        claims: &[&Claim],
+        settings: &[Setting],
+    ) -> Result<Self, AnalysisError> {
+        let experiments = spec.experiments_of_readings();
         let (settings, trained) = (settings.to_vec(), experiments.clone());
         let selection = Selection { experiments, settings, simulated: true, trained };
-        let mut readings = Self { spec, analysis: Analysis::new(registry, &selection)? };
+        let mut readings = Self { spec, analysis: Analysis::of(registry, recorded, &selection)? };
         let mut queries = BTreeSet::new();
-        for reading in readings.names() {
+        for reading in spec.names_of_readings() {
             for claim in claims {
                 let sizes = readings.sizes(claim, reading);
                 queries.extend(claim.queries().map(|query| claim.complete(&query.value, &sizes, false)));
@@ -113,12 +160,6 @@ impl<'a> Readings<'a> {
         &self.analysis
     }
 
-    /// The names of the readings, the base reading first.
-    pub fn names(&self) -> Vec<&'a str> {
-        let others = self.spec.readings.iter().map(|reading| reading.name.as_str());
-        std::iter::once(Reading::BASE).chain(others).collect()
-    }
-
     /// Judges claims under every reading.
     ///
     /// # Errors
@@ -127,7 +168,7 @@ impl<'a> Readings<'a> {
     where
         'a: 'c,
     {
-        self.judge_with(claims, self.names(), |_| Ok(None))
+        self.judge_with(claims, self.spec.names_of_readings(), |_| Ok(None))
     }
 
     /// Judges claims under every reading, and by the `runs` of their own experiments.
@@ -143,7 +184,7 @@ impl<'a> Readings<'a> {
     where
         'a: 'c,
     {
-        let readings = self.names().into_iter().chain([OWN]).collect();
+        let readings = self.spec.names_of_readings().into_iter().chain([OWN]).collect();
         self.judge_with(claims, readings, |claim| super::judge(runs, claim, quick).map(Some))
     }
 
@@ -158,7 +199,8 @@ impl<'a> Readings<'a> {
     {
         let (mut rows, mut left_out) = (Vec::new(), Vec::new());
         for &claim in claims {
-            let judged = self.names().into_iter().map(|reading| self.judge_under(claim, reading));
+            let judged =
+                self.spec.names_of_readings().into_iter().map(|reading| self.judge_under(claim, reading));
             let mut judged: Vec<Vec<Judgment<'c>>> = judged.collect::<Result<_, _>>()?;
             judged.extend(own(claim)?);
             let mut own = by_scenario(claim, judged);
@@ -173,7 +215,7 @@ impl<'a> Readings<'a> {
 
     fn judge_under<'c>(&self, claim: &'c Claim, reading: &str) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let experiments = claim.experiments.iter().map(|role| {
-            let runs = self.runs(reading, role);
+            let runs = self.analysis.runs_under(self.spec, reading, role);
             let checked = self.analysis.check_alike(&runs);
             (role.clone(), runs, checked)
         });
@@ -181,30 +223,12 @@ impl<'a> Readings<'a> {
         Evidence::of(&self.analysis, experiments.collect()).judge(claim, &sizes, false)
     }
 
-    /// The runs that stand for an experiment under a reading: the reading's own or, without any, those of another
-    /// experiment that the reading names.
-    fn runs(&self, reading: &str, role: &str) -> Vec<&Run> {
-        let is_own = |run: &&Run| {
-            let spec = &run.record.spec;
-            spec.reading() == Some(reading) && spec.role() == Some(role)
-        };
-        let own: Vec<&Run> = self.analysis.runs(&self.spec.name).iter().filter(is_own).collect();
-        let mut named = self.spec.readings.iter().filter(|other| other.name == reading);
-        match named.find_map(|reading| reading.runs.get(role)) {
-            Some(others) if own.is_empty() => {
-                let all = self.analysis.runs(&others.experiment).iter();
-                all.filter(|run| run.record.spec.variant == others.variant).collect()
-            }
-            _ => own,
-        }
-    }
-
     /// The claim's latent sizes for which the reading has runs on each of its datasets. An experiment without any
     /// keeps all of its sizes.
     fn sizes(&self, claim: &Claim, reading: &str) -> Sizes {
         let of = |(role, asked): (&String, &BTreeSet<usize>)| {
             let mut by_dataset: BTreeMap<_, BTreeSet<usize>> = BTreeMap::new();
-            for run in self.runs(reading, role) {
+            for run in self.analysis.runs_under(self.spec, reading, role) {
                 let spec = &run.record.spec;
                 let dataset = (&spec.scenario, spec.dataset_seed());
                 by_dataset.entry(dataset).or_default().extend(spec.latent());

@@ -8,12 +8,13 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
-    self, Claim, Each, Judgment, Matrix, MatrixRow, OWN, Plan, Readings, Step, Values, Verdict, corrected,
+    self, Claim, Counts, Each, Judgment, Matrix, MatrixRow, OWN, Plan, Readings, Step, Values, Verdict,
+    corrected,
 };
 use harness::numbers::{counted, duration, rounded};
 use harness::registry::{Registry, quoted};
-use harness::spec::{self, Experiment, Origin, Reading, Scenario};
-use polars::prelude::{Column, DataFrame};
+use harness::spec::{self, Experiment, Origin, QUICK, Reading, Scenario};
+use polars::prelude::DataFrame;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -59,33 +60,36 @@ impl Claims {
         if let Some(spec) = file.spec_of_readings(registry, self.quick)?.filter(|_| is_about_all) {
             let readings = Readings::new(registry, &spec, &chosen, &[])?;
             let matrix = readings.judge_beside(&chosen, &runs, self.quick)?.without_empty();
-            if matrix.readings.iter().any(|name| *name != OWN) {
+            if matrix.has_readings() {
                 return self.print_families(
                     &Families { readings: &readings, spec: &spec, runs: &runs, matrix },
                     form,
                 );
             }
         }
-        let mut judgments = Vec::new();
+        let mut judged = Vec::new();
         for claim in &chosen {
-            judgments.extend(claims::judge(&runs, claim, self.quick)?);
+            judged.extend(claims::judge(&runs, claim, self.quick)?);
         }
+        let judgments: Vec<&Judgment> = judged.iter().collect();
         if !matches!(form, Form::Page(Style::Text)) {
             for note in runs.notes() {
                 eprintln!("{note}");
             }
-            return write(claims::table(&judgments.iter().collect::<Vec<_>>())?, form);
+            return write(claims::table(&judgments)?, form);
         }
         if self.plan {
-            print_plan(&claims::plan(&runs, &judgments, self.quick), &judgments);
+            print_plan(&claims::plan(&runs, &judged, self.quick), &judged);
             print_missing(&runs, &judgments, self.quick)?;
             return Ok(ExitCode::from(DONE));
         }
-        print(&judgments);
+        print(&judged);
         if !self.chosen.is_empty() {
-            print_details(&judgments, self.quick);
+            print_all_values(&judgments);
+            print_queries(&chosen, self.quick);
         }
-        print_summary(&runs, &judgments);
+        print_counts(&judgments);
+        runs.notes().iter().for_each(|note| print_text(note));
         print_contacts(&runs, &self.experiments(&chosen))?;
         print_missing(&runs, &judgments, self.quick)?;
         Ok(ExitCode::from(DONE))
@@ -103,19 +107,30 @@ impl Claims {
             return write_matrix(matrix, form);
         }
         print_beside(spec, matrix);
+        let claims = matrix.claims();
         if !self.chosen.is_empty() {
-            for (place, name) in matrix.readings.iter().enumerate() {
+            for (name, judgments) in matrix.columns() {
                 println!("\n{name}:");
-                print_all_values(matrix.column(place));
+                print_all_values(&judgments);
             }
-            let claims: Vec<&Claim> = matrix.rows.iter().map(|row| row.claim).collect();
             print_queries(&claims, self.quick);
         }
-        print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
-        let claims: Vec<&Claim> = matrix.rows.iter().map(|row| row.claim).collect();
-        if matrix.readings.contains(&OWN) {
+        print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
+        let lacks_runs = |(name, judgments): (&str, Vec<&Judgment>)| {
+            name != OWN && judgments.iter().any(|judgment| judgment.verdict() == Verdict::NoData)
+        };
+        if matrix.columns().any(lacks_runs) {
+            let name = spec.name.strip_suffix(QUICK).unwrap_or(&spec.name).to_owned();
+            print_commands(readings.analysis(), std::iter::once(&name), self.quick);
+        }
+        let own = matrix.columns().find(|(name, _)| *name == OWN).map(|(_, judgments)| judgments);
+        if own.is_some() {
             print_contacts(runs, &self.experiments(&claims))?;
         }
+        let own = own.unwrap_or_default();
+        print_absent(runs, &own, self.quick)?;
+        let left_out = matrix.left_out.iter().flat_map(|claim| &claim.experiments);
+        print_commands(runs, lacking(&own).chain(left_out), self.quick);
         Ok(ExitCode::from(DONE))
     }
 
@@ -145,7 +160,7 @@ impl Claims {
             return write_matrix(&matrix, form);
         }
         print_matrix(&spec, &matrix);
-        print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
+        print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
         Ok(ExitCode::from(DONE))
     }
 }
@@ -163,18 +178,7 @@ fn write_matrix(matrix: &Matrix, form: Form) -> Result<ExitCode> {
     for note in &matrix.notes {
         eprintln!("{note}");
     }
-    // The p-values are corrected for the number of tests under a reading.
-    let of_reading = |(place, name): (usize, &&str)| -> Result<DataFrame> {
-        let mut table = claims::table(&matrix.column(place).collect::<Vec<_>>())?;
-        table.insert_column(0, Column::new("reading".into(), vec![*name; table.height()]))?;
-        Ok(table)
-    };
-    let mut tables = matrix.readings.iter().enumerate().map(of_reading);
-    let Some(mut table) = tables.next().transpose()? else { bail!("there are no readings") };
-    for more in tables {
-        table.vstack_mut(&more?)?;
-    }
-    write(table, form)
+    write(matrix.table()?, form)
 }
 
 /// The columns of the verdicts on a page.
@@ -328,9 +332,9 @@ fn print_beside(spec: &Experiment, matrix: &Matrix) {
         limit => println!("{}", table.text(limit.or(Some(LINE.max(60 + 42 * matrix.readings.len() as u16))))),
     }
     print_text("\nn: number of datasets");
-    for (place, name) in matrix.readings.iter().enumerate() {
+    for (name, judgments) in matrix.columns() {
         print_text(&format!("{name}: {}", claims::described(spec, name)));
-        print_counts(&matrix.column(place).collect::<Vec<_>>(), &corrected[place]);
+        print_counts(&judgments);
     }
     if !matrix.left_out.is_empty() {
         let claims = counted(matrix.left_out.len(), "claim");
@@ -353,26 +357,23 @@ fn listed_beside(matrix: &Matrix, row: usize, cells: &[String], limit: u16) -> S
     [heading, condition].into_iter().chain(lines).collect::<Vec<_>>().join("\n") + "\n"
 }
 
-/// Prints the numbers of verdicts, those that a correction makes undecided, and the requirements that are not met.
-fn print_counts(judgments: &[&Judgment], corrected: &[Option<f64>]) {
-    let count = |verdict: fn(&Verdict) -> bool| judgments.iter().filter(|j| verdict(&j.verdict())).count();
-    let (holds, fails) = (count(|v| *v == Verdict::Holds), count(|v| *v == Verdict::DoesNotHold));
-    let untestable = count(|verdict| *verdict == Verdict::NotTestable);
-    let missing = count(|verdict| *verdict == Verdict::NoData);
-    let without = if missing > 0 { format!(", {missing} without runs") } else { String::new() };
+/// Prints the numbers of verdicts, those that a correction makes undecided, the requirements that are not met, and the
+/// settings in which runs differ.
+fn print_counts(judgments: &[&Judgment]) {
+    let counts = Counts::of(judgments);
     print_text(&format!(
-        "{holds} hold, {fails} do not hold, {} undecided, {untestable} not testable{without}; intervals are 95 % over \
-         datasets or, with one dataset, over seeds or episodes",
-        judgments.len() - holds - fails - untestable - missing,
+        "{counts}; intervals are 95 % over datasets or, with one dataset, over seeds or episodes"
     ));
-    let unsure = judgments.iter().zip(corrected).filter(|(judgment, p)| !judgment.stands(**p)).count();
-    if unsure > 0 {
-        let tests = corrected.iter().flatten().count();
+    if counts.unsure > 0 {
+        let Counts { unsure, tests, .. } = counts;
         print_text(&format!(
             "* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests"
         ));
     }
     print_unmet(judgments);
+    let mixed: BTreeSet<String> =
+        judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
+    mixed.iter().for_each(|text| print_text(text));
 }
 
 fn print_plan(plan: &Plan, judgments: &[Judgment]) {
@@ -487,13 +488,8 @@ fn scenario(judgment: &Judgment) -> &'static str {
     judgment.scenario.map_or("both", Scenario::name)
 }
 
-fn print_details(judgments: &[Judgment], quick: bool) {
-    print_all_values(judgments);
-    print_queries(&judgments.iter().map(|judgment| judgment.claim).collect::<Vec<_>>(), quick);
-}
-
 /// Prints the values that claims and their requirements are judged by.
-fn print_all_values<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b>>) {
+fn print_all_values(judgments: &[&Judgment]) {
     for judgment in judgments {
         let (id, scenario) = (judgment.claim.id(), scenario(judgment));
         for (scenario, values) in judgment.groups() {
@@ -506,10 +502,9 @@ fn print_all_values<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment
     }
 }
 
-/// Prints the queries of claims, of which equal ones are neighbors.
+/// Prints the queries of claims.
 fn print_queries(claims: &[&Claim], quick: bool) {
-    for claims in claims.chunk_by(|a, b| a.id() == b.id()) {
-        let claim = claims[0];
+    for claim in claims {
         println!("\n{}:\n{}", claim.id(), claim.sql(quick));
         if let (Some(requirement), Some(sql)) = (&claim.requires, claim.required_sql(quick)) {
             print_text(&format!("requires {}, {}:", requirement.measured, requirement.condition));
@@ -534,17 +529,8 @@ fn print_values(of: &str, each: Each, values: &Values) {
     }
 }
 
-fn print_summary(runs: &Analysis, judgments: &[Judgment]) {
-    print_counts(&judgments.iter().collect::<Vec<_>>(), &corrected(judgments));
-    let mixed: BTreeSet<String> =
-        judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
-    for text in runs.notes().iter().chain(&mixed) {
-        print_text(text);
-    }
-}
-
 /// Prints the scenarios and metrics of claims without data that no run has, with those that there are.
-fn print_absent(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result<()> {
+fn print_absent(runs: &Analysis, judgments: &[&Judgment], quick: bool) -> Result<()> {
     let mut absent: BTreeSet<String> = BTreeSet::new();
     for judgment in judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData) {
         absent.extend(judgment.claim.absent_metric(runs, quick)?);
@@ -567,18 +553,27 @@ fn elsewhere(runs: &Analysis, experiment: &str, scenario: Scenario) -> Option<St
         .then(|| format!("no run of {experiment} is in {scenario}; its runs are in {}", names.join(", ")))
 }
 
-/// Prints the commands that make the runs of the claims without data.
-fn print_missing(runs: &Analysis, judgments: &[Judgment], quick: bool) -> Result<()> {
+/// Prints the commands that make the runs of the claims without data by the claims' own experiments.
+fn print_missing(runs: &Analysis, judgments: &[&Judgment], quick: bool) -> Result<()> {
     print_absent(runs, judgments, quick)?;
+    print_commands(runs, lacking(judgments), quick);
+    Ok(())
+}
+
+/// The experiments of the claims without data.
+fn lacking<'a>(judgments: &'a [&'a Judgment]) -> impl Iterator<Item = &'a String> {
     let lacking = judgments.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
-    let experiments: BTreeSet<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
-    for experiment in experiments {
+    lacking.flat_map(|judgment| &judgment.claim.experiments)
+}
+
+/// Prints the commands that make the runs of these experiments, each once.
+fn print_commands<'a>(runs: &Analysis, experiments: impl Iterator<Item = &'a String>, quick: bool) {
+    for experiment in experiments.collect::<BTreeSet<_>>() {
         match runs.command(experiment, quick) {
             Some(command) => print_command("for claims without data   ", &command),
             None => print_text(&format!("for claims without data   there is no spec called {experiment}")),
         }
     }
-    Ok(())
 }
 
 /// Prints how often links are touched in the datasets of these experiments.

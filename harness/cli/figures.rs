@@ -6,17 +6,14 @@ use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use clap::builder::TypedValueParser;
-use harness::analysis::{Analysis, Selection, Setting};
+use harness::analysis::{Analysis, Setting};
 use harness::experiment::describe;
-use harness::figures::source::{Experiments, Source};
-use harness::figures::{Drawing, Figure, FigureError, Format};
+use harness::figures::{Drawing, Figure, FigureError, Format, OfReading, Shown};
 use harness::registry::Registry;
-use harness::spec::QUICK;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
 
-#[derive(Args)]
+#[derive(Args, Clone)]
 pub struct Figures {
     /// The figures to draw [default: all]
     #[arg(value_name = "NAME", value_parser = figure())]
@@ -42,7 +39,7 @@ pub struct Figures {
     /// Draw the runs under this reading of an experiment instead of single_to_multi and multi_to_multi, for example
     /// paper/recommended
     #[arg(long, value_name = "EXPERIMENT/READING", conflicts_with_all = ["single", "multi", "experiment"])]
-    reading: Option<OfReading>,
+    reading: Option<String>,
     /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
     /// contact_force, or the first modality where it is not predicted]
     #[arg(long, value_name = "NAME")]
@@ -50,25 +47,6 @@ pub struct Figures {
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
-}
-
-/// A reading of an experiment: `paper/recommended`.
-#[derive(Clone)]
-struct OfReading {
-    experiment: String,
-    reading: String,
-}
-
-impl FromStr for OfReading {
-    type Err = &'static str;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let named = text
-            .split_once('/')
-            .filter(|(experiment, reading)| !experiment.is_empty() && !reading.is_empty());
-        let (experiment, reading) = named.ok_or("write EXPERIMENT/READING, for example paper/recommended")?;
-        Ok(Self { experiment: experiment.to_owned(), reading: reading.to_owned() })
-    }
 }
 
 /// A parser for names of figures, whose error lists all names.
@@ -92,24 +70,14 @@ impl Figures {
             }
             return self.draw(|figure| figure.render_of(&analysis, experiment, self.modality.clone()));
         }
-        let paper = Experiments::of_the_paper(self.quick);
-        let quick = if self.quick { QUICK } else { "" };
-        let of_reading = self.reading.as_ref().map(|of| format!("{}{quick}", of.experiment));
-        let named = |own: &Option<String>| of_reading.clone().or_else(|| own.clone());
-        let experiments = Experiments {
-            single_to_multi: named(&self.single).unwrap_or_else(|| paper.single_to_multi.clone()),
-            multi_to_multi: named(&self.multi).unwrap_or_else(|| paper.multi_to_multi.clone()),
-            ..paper
-        };
-        let names = experiments.all();
-        let (settings, trained) = (self.settings.clone(), names.clone());
-        let selection = Selection { experiments: names, settings, simulated: true, trained };
-        let analysis = Analysis::new(registry, &selection)?;
+        let Self { quick, single, multi, .. } = self.clone();
+        let reading = self.reading.as_ref().map(|text| OfReading::load(text, quick)).transpose()?;
+        let shown = Shown { quick, single, multi, reading };
+        let analysis = shown.analysis(registry, &self.settings)?;
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let reading = self.reading.as_ref().map(|of| of.reading.clone());
-        let source = Source::new(&analysis, experiments).showing(self.modality.clone()).under(reading);
+        let source = shown.source(&analysis).showing(self.modality.clone());
         self.draw(|figure| figure.render(&source))
     }
 

@@ -22,7 +22,7 @@ pub struct Serve {
 impl Serve {
     /// Serves the page until a signal ends it.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let claims = claims::load(&self.claims)?.claims;
+        let claims = claims::load(&self.claims)?;
         interrupt::install()?;
         // A panic in Polars is the answer to a query, so nothing must be printed about it.
         std::panic::set_hook(Box::new(|_| {}));

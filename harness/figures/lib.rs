@@ -23,6 +23,7 @@ mod propriovision_to_vision;
 mod readings;
 mod reconstruction_performance;
 mod regression;
+mod shown;
 mod sim_env;
 pub mod source;
 mod task;
@@ -39,6 +40,7 @@ pub use moment::{Bars, Moment};
 use page::Page;
 pub use plot::Plot;
 use polars::prelude::{DataFrame, PolarsError};
+pub use shown::{OfReading, ReadingError, Shown};
 use source::Source;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -48,11 +50,13 @@ use std::path::{Path, PathBuf};
 pub enum FigureError {
     /// An experiment that the figure needs has no finished run.
     #[error(
-        "{} has no finished runs of {experiment}; {}",
+        "{} has no finished runs of {lacking}; {}",
         root.display(),
         command.as_ref().map_or_else(|| finished(there), |command| format!("make them with `{command}`"))
     )]
     NoRuns {
+        /// The runs that are missing: the experiment's name, and the reading and role if only these lack runs.
+        lacking: String,
         /// The experiment's name.
         experiment: String,
         /// The results folder.

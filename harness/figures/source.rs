@@ -2,7 +2,7 @@
 
 use super::FigureError;
 use harness_analysis::{Analysis, Labels, Run};
-use harness_spec::{Layout, Modality, Origin, QUICK};
+use harness_spec::{Experiment, Layout, Modality, Origin, QUICK};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -100,8 +100,8 @@ pub struct Source<'a> {
     pub(super) modality: Option<String>,
     /// The variant of the runs that are drawn; `None` for all runs.
     pub(super) variant: Option<String>,
-    /// The reading whose runs stand for the studies; `None` for the experiments' runs.
-    reading: Option<String>,
+    /// The spec and the name of the reading whose runs stand for the studies; `None` for the experiments' runs.
+    reading: Option<(&'a Experiment, &'a str)>,
 }
 
 /// The runs of a study. They differ only in scenario, latent size and seed.
@@ -130,8 +130,9 @@ impl<'a> Source<'a> {
         Self { analysis, experiments, modality: None, variant: None, reading: None }
     }
 
-    /// The same source, in which the runs of each study are those with the study's role under this reading.
-    pub fn under(self, reading: Option<String>) -> Self {
+    /// The same source, in which the runs of each study are those that stand for the study's role under this reading of
+    /// a spec.
+    pub(super) fn under(self, reading: Option<(&'a Experiment, &'a str)>) -> Self {
         Self { reading, ..self }
     }
 
@@ -153,17 +154,16 @@ impl<'a> Source<'a> {
     /// can't be shown in one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
         let experiment = self.experiments.of(study);
-        let Some(reading) = self.reading.as_deref() else {
+        let Some((spec, reading)) = self.reading else {
             return self.runs_of(experiment, self.variant.as_deref());
         };
-        let variants = self.analysis.runs(experiment).iter().map(|run| &run.record.spec);
-        let variant = variants
-            .filter(|spec| spec.reading() == Some(reading) && spec.role() == Some(study.name()))
-            .map(|spec| spec.variant.as_str())
-            .next();
-        match variant {
-            Some(variant) => self.runs_of(experiment, Some(variant)),
-            None => Err(no_runs(self.analysis, experiment)),
+        match self.analysis.runs_under(spec, reading, study.name()).first() {
+            Some(run) => self.runs_of(&run.record.experiment, Some(&run.record.spec.variant)),
+            None => {
+                let about =
+                    format!("{experiment} under the reading '{reading}' in the role {}", study.name());
+                Err(no_runs_of(self.analysis, experiment, about))
+            }
         }
     }
 
@@ -233,7 +233,13 @@ impl<'a> Source<'a> {
 }
 
 pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
+    no_runs_of(analysis, experiment, experiment.to_owned())
+}
+
+/// The error that an experiment lacks runs, which `lacking` names.
+fn no_runs_of(analysis: &Analysis, experiment: &str, lacking: String) -> FigureError {
     FigureError::NoRuns {
+        lacking,
         experiment: experiment.to_owned(),
         root: analysis.root().to_owned(),
         command: command(analysis, experiment),

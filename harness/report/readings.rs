@@ -3,7 +3,7 @@
 use super::verdicts::class_of;
 use super::{Absent, Asked, Part, ReportError, part, sentence};
 use harness_analysis::Analysis;
-use harness_claims::{self as claims, Claim, Contacts, Judgment, MatrixRow, Verdict};
+use harness_claims::{self as claims, Claim, Contacts, Judgment, MatrixRow};
 use harness_figures::Figure;
 use harness_figures::source::{Experiments, Source};
 use harness_registry::Registry;
@@ -112,11 +112,7 @@ impl Row {
     fn new(row: &MatrixRow, readings: &[&str]) -> Self {
         let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
         let cell = |(place, judgment): (usize, &Judgment)| Cell {
-            class: if judgment.verdict() == Verdict::NoData {
-                "missing"
-            } else {
-                class_of(judgment.verdict())
-            },
+            class: class_of(judgment.verdict()),
             verdict: judgment.verdict().to_string(),
             value: judgment.interval().map_or_else(|| "no value".into(), |interval| interval.to_string()),
             changed: changes.contains(&place),

@@ -3,8 +3,8 @@
 use super::ReportError;
 use harness_analysis::{Analysis, Mixed};
 use harness_claims::{
-    Claim, Condition, Contacts, Each, Judgment, Matrix, Readings, Verdict, contacts, corrected, described,
-    judge,
+    Claim, Condition, Contacts, Counts, Each, Judgment, Matrix, Readings, Verdict, contacts, corrected,
+    described, judge,
 };
 use harness_registry::Registry;
 use harness_shared::numbers::{counted, rounded};
@@ -17,8 +17,6 @@ use std::collections::BTreeSet;
 pub struct Verdicts {
     claims: Vec<Judged>,
     counts: Counts,
-    /// The number of verdicts that Holm's correction makes undecided.
-    unsure: usize,
     /// How often links are touched in the datasets that the claims are judged on.
     contacts: Vec<String>,
     /// The readings that the claims are also judged by.
@@ -31,36 +29,22 @@ pub struct Verdicts {
     pub mixed: BTreeSet<String>,
 }
 
-/// The number of judgments with each outcome.
-#[derive(Default, Serialize)]
-struct Counts {
-    holds: usize,
-    fails: usize,
-    undecided: usize,
-    untestable: usize,
-}
-
 /// The verdicts under a reading on the claims that it has runs for, counted.
 #[derive(Serialize)]
 struct OfReading {
     name: String,
     described: String,
-    all: usize,
+    /// The number of verdicts.
+    judged: usize,
     counts: Counts,
-    /// The number of verdicts that Holm's correction makes undecided.
-    unsure: usize,
 }
 
 /// The judgment under a reading, beside that by the claim's own experiments.
 #[derive(Serialize)]
 struct Beside {
     reading: String,
-    value: String,
-    datasets: String,
-    verdict: String,
-    class: &'static str,
-    p: Option<String>,
-    stands: bool,
+    #[serde(flatten)]
+    words: Words,
 }
 
 /// A claim and its judgments in words. There is one judgment per scenario, or one over both scenarios.
@@ -136,58 +120,31 @@ impl Verdicts {
         quick: bool,
     ) -> Result<Self, ReportError> {
         let families = spec.map(|spec| Families::of(registry, claims, spec)).transpose()?;
-        let mut verdicts = Self {
-            readings: families.as_ref().map(Families::counted).unwrap_or_default(),
-            claims: Vec::new(),
-            counts: Counts::default(),
-            unsure: 0,
-            contacts: Vec::new(),
-            commands: BTreeSet::new(),
-            mixed: BTreeSet::new(),
-        };
         let judged: Vec<Vec<Judgment>> =
             claims.iter().map(|claim| judge(analysis, claim, quick)).collect::<Result<_, _>>()?;
+        let all: Vec<&Judgment> = judged.iter().flatten().collect();
         let experiments: BTreeSet<String> =
             claims.iter().flat_map(|claim| claim.experiments(quick)).collect();
         let experiments: Vec<&str> = experiments.iter().map(String::as_str).collect();
-        verdicts.contacts = contacts(analysis, &experiments)?.iter().map(Contacts::to_string).collect();
-        let mut p_values = corrected(judged.iter().flatten()).into_iter();
-        let mut lacking: BTreeSet<&String> = BTreeSet::new();
-        for (claim, judgments) in claims.iter().zip(&judged) {
-            for judgment in judgments {
-                verdicts.counts.add(judgment.verdict());
-                verdicts.mixed.extend(judgment.mixed.iter().map(Mixed::to_string));
-                if judgment.verdict() == Verdict::NoData {
-                    lacking.extend(&claim.experiments);
-                }
+        let mut p_values = corrected(all.iter().copied()).into_iter();
+        let in_words = |(claim, judgments): (&&Claim, &Vec<Judgment>)| {
+            let p_values = p_values.by_ref().take(judgments.len());
+            let mut judged = Judged::new(claim, quick, judgments.iter().zip(p_values));
+            for (words, judgment) in judged.judgments.iter_mut().zip(judgments) {
+                words.others = families.as_ref().map(|all| all.beside(judgment)).unwrap_or_default();
             }
-            let p_values: Vec<Option<f64>> = p_values.by_ref().take(judgments.len()).collect();
-            let corrected = || judgments.iter().zip(p_values.iter().copied());
-            verdicts.unsure += corrected().filter(|(judgment, p)| !judgment.stands(*p)).count();
-            let mut judged = Judged::new(claim, quick, corrected());
-            if let Some(families) = &families {
-                for (words, judgment) in judged.judgments.iter_mut().zip(judgments) {
-                    words.others = families.beside(judgment);
-                }
-            }
-            verdicts.claims.push(judged);
-        }
-        verdicts.commands =
-            lacking.into_iter().filter_map(|experiment| analysis.command(experiment, quick)).collect();
-        Ok(verdicts)
-    }
-}
-
-impl Counts {
-    fn add(&mut self, verdict: Verdict) {
-        match verdict {
-            Verdict::Holds => self.holds += 1,
-            Verdict::DoesNotHold => self.fails += 1,
-            Verdict::NotTestable => self.untestable += 1,
-            Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed | Verdict::NoData => {
-                self.undecided += 1
-            }
-        }
+            judged
+        };
+        let lacking = all.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
+        let lacking: BTreeSet<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
+        Ok(Self {
+            claims: claims.iter().zip(&judged).map(in_words).collect(),
+            counts: Counts::of(&all),
+            contacts: contacts(analysis, &experiments)?.iter().map(Contacts::to_string).collect(),
+            readings: families.as_ref().map(Families::counted).unwrap_or_default(),
+            commands: lacking.into_iter().filter_map(|name| analysis.command(name, quick)).collect(),
+            mixed: all.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect(),
+        })
     }
 }
 
@@ -208,21 +165,12 @@ impl<'a> Families<'a> {
     }
 
     fn counted(&self) -> Vec<OfReading> {
-        let of = |(place, name): (usize, &&str)| {
-            let mut counts = Counts::default();
-            let verdicts = self.matrix.column(place).map(Judgment::verdict);
-            let verdicts: Vec<Verdict> = verdicts.filter(|verdict| *verdict != Verdict::NoData).collect();
-            verdicts.iter().for_each(|verdict| counts.add(*verdict));
-            let both = self.matrix.column(place).zip(&self.corrected[place]);
-            OfReading {
-                name: (*name).to_owned(),
-                described: described(self.spec, name),
-                all: verdicts.len(),
-                counts,
-                unsure: both.filter(|(judgment, p)| !judgment.stands(**p)).count(),
-            }
+        let of = |(name, judgments): (&str, Vec<&Judgment>)| {
+            let counts = Counts::of(&judgments);
+            let described = described(self.spec, name);
+            OfReading { name: name.to_owned(), described, judged: counts.judged(), counts }
         };
-        self.matrix.readings.iter().enumerate().map(of).collect()
+        self.matrix.columns().map(of).collect()
     }
 
     /// The judgments under the readings of the same claim in the same scenario that have runs.
@@ -235,17 +183,9 @@ impl<'a> Families<'a> {
         let names = self.matrix.readings.iter().zip(&self.matrix.rows[row].judgments).zip(&self.corrected);
         names
             .filter(|((_, judgment), _)| judgment.verdict() != Verdict::NoData)
-            .map(|((name, judgment), corrected)| {
-                let words = Words::new(judgment, corrected[row]);
-                Beside {
-                    reading: (*name).to_owned(),
-                    value: words.value,
-                    datasets: words.datasets,
-                    verdict: words.verdict,
-                    class: words.class,
-                    p: words.p,
-                    stands: words.stands,
-                }
+            .map(|((name, judgment), corrected)| Beside {
+                reading: (*name).to_owned(),
+                words: Words::new(judgment, corrected[row]),
             })
             .collect()
     }
@@ -313,7 +253,8 @@ pub fn class_of(verdict: Verdict) -> &'static str {
         Verdict::Holds => "holds",
         Verdict::DoesNotHold => "fails",
         Verdict::NotTestable => "untestable",
-        Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed | Verdict::NoData => "undecided",
+        Verdict::NoData => "missing",
+        Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed => "undecided",
     }
 }
 

@@ -7,8 +7,9 @@ use harness_analysis::{
     all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings, whole_metrics,
 };
 use harness_catalog::{QueryError, query_recorded};
-use harness_claims::{Claim, ClaimsError, Judgment, judge};
+use harness_claims::{Claim, ClaimsError, ClaimsFile, Judgment, Readings, judge};
 use harness_registry::{Recorded, Registry};
+use harness_spec::SpecError;
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};
@@ -71,6 +72,12 @@ impl From<PolarsError> for Failure {
 
 impl From<ClaimsError> for Failure {
     fn from(error: ClaimsError) -> Self {
+        Self::Bad(error.to_string())
+    }
+}
+
+impl From<SpecError> for Failure {
+    fn from(error: SpecError) -> Self {
         Self::Bad(error.to_string())
     }
 }
@@ -163,18 +170,26 @@ fn of_run(registry: &Registry, recorded: &Recorded, sql: &str) -> Result<DataFra
     query_recorded(registry, std::slice::from_ref(recorded), sql)
 }
 
-/// The verdicts on the paper's statements by these runs.
-pub fn claims(registry: &Registry, runs: &[Recorded], claims: &[Claim]) -> Result<Answer, Failure> {
-    let chosen: Vec<&Claim> = claims.iter().collect();
+/// The verdicts on the statements of a file by these runs: by the claims' own experiments and, if the spec of readings
+/// that the file names has runs, by its readings.
+pub fn claims(registry: &Registry, runs: &[Recorded], file: &ClaimsFile) -> Result<Answer, Failure> {
+    let chosen: Vec<&Claim> = file.claims.iter().collect();
     let selection = harness_claims::selection(&chosen, &[], false);
-    let runs = Analysis::of(registry, runs.to_vec(), &selection)?;
-    let runs = harness_claims::expect(runs, &chosen, false);
-    let mut judgments: Vec<Judgment> = Vec::new();
-    for claim in chosen {
-        judgments.extend(judge(&runs, claim, false)?);
+    let own = Analysis::of(registry, runs.to_vec(), &selection)?;
+    let own = harness_claims::expect(own, &chosen, false);
+    let answer = |verdicts: DataFrame| {
+        Answer::Json(json!({ "columns": columns(&verdicts, verdicts.height()) }).to_string())
+    };
+    if let Some(spec) = file.spec_of_readings(registry, false)? {
+        let readings = Readings::of(registry, runs.to_vec(), &spec, &chosen, &[])?;
+        let matrix = readings.judge_beside(&chosen, &own, false)?.without_empty();
+        if matrix.has_readings() {
+            return Ok(answer(matrix.table()?));
+        }
     }
-    let verdicts = harness_claims::table(&judgments.iter().collect::<Vec<_>>())?;
-    Ok(Answer::Json(json!({ "columns": columns(&verdicts, verdicts.height()) }).to_string()))
+    let judgments: Vec<Vec<Judgment>> =
+        chosen.iter().map(|claim| judge(&own, claim, false)).collect::<Result<_, _>>()?;
+    Ok(answer(harness_claims::table(&judgments.iter().flatten().collect::<Vec<_>>())?))
 }
 
 /// The settings in which runs differ. Each has its different values, and for each run the place of its value.

@@ -22,7 +22,7 @@ mod http;
 mod snapshot;
 
 use answers::{Answer, Failure};
-use harness_claims::Claim;
+use harness_claims::ClaimsFile;
 use harness_registry::Registry;
 use http::{Request, Response};
 use snapshot::Snapshot;
@@ -76,7 +76,7 @@ pub enum ServeError {
 ///
 /// # Arguments
 /// * `registry`: the results folder
-/// * `claims`: the statements that the page judges
+/// * `claims`: the statements that the page judges, and the readings that judge them too
 /// * `port`: the port on 127.0.0.1; 0 for a free one
 /// * `ready`: called with the address once requests are answered
 /// * `cancelled`: whether to stop
@@ -85,7 +85,7 @@ pub enum ServeError {
 /// When the port can't be used.
 pub fn serve(
     registry: Registry,
-    claims: Vec<Claim>,
+    claims: ClaimsFile,
     port: u16,
     ready: impl FnOnce(SocketAddr),
     cancelled: impl Fn() -> bool,
@@ -128,7 +128,7 @@ pub fn serve(
 /// The state that requests share.
 struct Site {
     registry: Registry,
-    claims: Vec<Claim>,
+    claims: ClaimsFile,
     snapshot: Mutex<Snapshot>,
 }
 

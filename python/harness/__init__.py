@@ -447,6 +447,7 @@ def figures(
     quick: bool = False,
     single: str | None = None,
     multi: str | None = None,
+    reading: str | None = None,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> list[Path]:
@@ -459,6 +460,7 @@ def figures(
         quick: draws the quick runs of the experiments.
         single: the experiment to draw instead of `single_to_multi`.
         multi: the experiment to draw instead of `multi_to_multi`.
+        reading: the reading of an experiment to draw instead of both, such as `paper/recommended`.
         where: settings that the runs must have, by dotted key, as in `compare`.
         results: the folder of datasets and runs.
 
@@ -466,7 +468,7 @@ def figures(
         The files that were written.
 
     Raises:
-        ValueError: there is no such figure or format.
+        ValueError: there is no such figure, format or reading, or `reading` comes with `single` or `multi`.
         FileNotFoundError: there is no results folder.
         RuntimeError: a named figure, or every figure, can't be drawn. The message has the reasons.
 
@@ -477,6 +479,8 @@ def figures(
     formats = name_tuple(formats)
     if not formats:
         raise ValueError("formats: there is none; allowed: svg, png, csv")
+    if reading is not None and (single is not None or multi is not None):
+        raise ValueError("reading: it replaces single and multi; leave these out")
     drawn, missing = _harness.figures(
         _names("names", names),
         Path(folder),
@@ -484,6 +488,7 @@ def figures(
         quick,
         single,
         multi,
+        reading,
         _settings(where),
         Path(results),
     )

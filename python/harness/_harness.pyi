@@ -58,6 +58,7 @@ def figures(
     quick: bool,
     single: str | None,
     multi: str | None,
+    reading: str | None,
     settings: list[str],
     results: Path,
 ) -> tuple[list[str], list[tuple[str, str]]]:

@@ -3,16 +3,15 @@
 use crate::errors::Raise;
 use crate::run::{Listener, Table, settings_of, warn, writable};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Key, Selection};
+use harness::analysis::{Analysis, AnalysisError, Key};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::describe;
-use harness::figures::source::{Experiments, Source};
-use harness::figures::{Figure, Format, Plot};
+use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::judge::models;
 use harness::progress::Silent;
-use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError};
+use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, quoted};
 use harness::report::{Asked, ReportError};
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, Task};
@@ -50,7 +49,7 @@ pub fn claims(
         let chosen = harness::claims::choose(&all.claims, &chosen).map_err(refused)?;
         if let Some(reading) = &reading {
             let spec = all.spec_of_readings(&registry, quick).map_err(Raise::raise)?;
-            let spec = spec.ok_or_else(|| PyValueError::new_err(no_readings(&all)))?;
+            let spec = spec.ok_or_else(|| PyValueError::new_err(no_readings(&all, &registry, quick)))?;
             let readings = Readings::new(&registry, &spec, &chosen, &settings).map_err(Raise::raise)?;
             let matrix = readings.judge(&chosen).map_err(refused)?;
             let place = matrix.readings.iter().position(|name| name == reading).ok_or_else(|| {
@@ -72,15 +71,13 @@ pub fn claims(
 }
 
 /// The message that the readings of a file of claims have no runs, or that it names none.
-fn no_readings(file: &ClaimsFile) -> String {
-    match &file.readings {
-        None => "the file of claims names no readings; add the key `readings` with the name of a spec".into(),
-        Some(path) => format!(
-            "there are no runs of {}; make them with `harness run {}`",
-            path.display(),
-            path.display()
-        ),
-    }
+fn no_readings(file: &ClaimsFile, registry: &Registry, quick: bool) -> String {
+    let Some(path) = &file.readings else {
+        return "the file of claims names no readings; add the key `readings` with the name of a spec".into();
+    };
+    let quick = if quick { " --quick" } else { "" };
+    let command = registry.command(&format!("run {}{quick}", quoted([&*path.to_string_lossy()])));
+    format!("there are no runs of {}; make them with `{command}`", path.display())
 }
 
 fn refused(error: ClaimsError) -> PyErr {
@@ -101,23 +98,19 @@ pub fn figures(
     quick: bool,
     single: Option<String>,
     multi: Option<String>,
+    reading: Option<String>,
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Drawn> {
     let figures = named("figure", &names, &Figure::ALL, Figure::name)?;
     let formats = named("format", &formats, &Format::ALL, Format::name)?;
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
-    let paper = Experiments::of_the_paper(quick);
-    let experiments = Experiments {
-        single_to_multi: single.unwrap_or_else(|| paper.single_to_multi.clone()),
-        multi_to_multi: multi.unwrap_or_else(|| paper.multi_to_multi.clone()),
-        ..paper
-    };
-    let all = experiments.all();
-    let selection = Selection { experiments: all.clone(), settings, simulated: true, trained: all };
+    let reading = reading.map(|text| OfReading::load(&text, quick));
+    let reading = reading.transpose().map_err(|error| PyValueError::new_err(describe(&error)))?;
+    let shown = Shown { quick, single, multi, reading };
     let draw = || -> Result<Drawn, AnalysisError> {
-        let analysis = Analysis::new(&registry, &selection)?;
-        let source = Source::new(&analysis, experiments);
+        let analysis = shown.analysis(&registry, &settings)?;
+        let source = shown.source(&analysis);
         let (mut drawn, mut missing) = (Vec::new(), Vec::new());
         for figure in figures {
             let saved =

@@ -815,9 +815,16 @@ async function showClaims() {
   if (!place.querySelector("table")) place.replaceChildren(element("p", {}, "Judging the claims…"));
   try {
     const { columns } = await ask("/api/claims");
-    const of = (name) => columns.find((one) => one.name === name).values;
+    const all = (name) => columns.find((one) => one.name === name)?.values;
+    const [claims, scenarios] = [all("claim"), all("scenario")];
+    // The readings of a claim in a scenario are neighbors.
+    const firstRow = (row) => claims.indexOf(claims[row]);
+    const rows = claims.map((_, row) => row);
+    rows.sort((a, b) => firstRow(a) - firstRow(b) || (scenarios[a] ?? "").localeCompare(scenarios[b] ?? "") || a - b);
+    const of = (name) => rows.map((row) => all(name)[row]);
     const table = [
       { name: "claim", values: of("claim").map((claim) => claim.replaceAll("_", " ")) },
+      ...(all("reading") ? [{ name: "reading", values: of("reading") }] : []),
       ...["verdict", "scenario"].map((name) => ({ name, values: of(name) })),
       { name: "mean and 95 % interval", values: of("mean").map((mean, row) => interval(mean, of("low")[row], of("high")[row])) },
       { name: "datasets", values: of("datasets") },
