@@ -6,7 +6,7 @@
 
 use harness::analysis::Interval;
 use harness::catalog::query;
-use harness::claims::{self, Claim, Judgment, Matrix, MatrixRow, OWN, Readings, Verdict};
+use harness::claims::{self, Claim, Counts, Judgment, Matrix, MatrixRow, OWN, Readings, Verdict};
 use harness::registry::Registry;
 use harness::spec::{self, Experiment, Scenario};
 use std::fmt::Write;
@@ -44,7 +44,7 @@ impl Source<'_> {
             ["verdict", family, id, scenario] => self.judgment(family, id, scenario).verdict().to_string(),
             ["counts", family] => self.counts(family),
             ["corrected", family] => self.corrected(family),
-            ["differ"] => self.differ(),
+            ["differ", family, other] => self.differ(family, other),
             ["open", family] => self.open(family),
             ["statements"] => self.statements(),
             ["choices"] => self.choices(),
@@ -78,16 +78,12 @@ impl Source<'_> {
 
     fn counts(&self, family: &str) -> String {
         let judgments = self.judgments(family);
-        let count = |of: &dyn Fn(Verdict) -> bool| judgments.iter().filter(|one| of(one.verdict())).count();
-        let (hold, fail) = (count(&|v| v == Verdict::Holds), count(&|v| v == Verdict::DoesNotHold));
-        let untestable = count(&|verdict| verdict == Verdict::NotTestable);
-        let missing = count(&|verdict| verdict == Verdict::NoData);
-        let all = judgments.len();
+        let Counts { holds, fails, undecided, untestable, missing, .. } = Counts::of(&judgments);
         let lacking = if missing > 0 { format!(", and {missing} have no runs yet") } else { String::new() };
         format!(
-            "Of {all} verdicts, {hold} say that a statement of the paper holds here, {fail} that it does not, and {} \
-             that these runs do not decide it; {untestable} are not testable{lacking}.",
-            all - hold - fail - untestable - missing
+            "Of {} verdicts, {holds} say that a statement of the paper holds here, {fails} that it does not, and \
+             {undecided} that these runs do not decide it; {untestable} are not testable{lacking}.",
+            judgments.len()
         )
     }
 
@@ -98,31 +94,26 @@ impl Source<'_> {
     }
 
     fn corrected(&self, family: &str) -> String {
-        let judgments = self.judgments(family);
-        let tests = claims::corrected(judgments.iter().copied()).into_iter().flatten().count();
-        let is_decided = |one: &&&Judgment| matches!(one.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-        let decided = judgments.iter().filter(is_decided).count();
-        let unsure = self.stands(self.place_of(family)).into_iter().filter(|stands| !stands).count();
+        let Counts { holds, fails, unsure, tests, .. } = Counts::of(&self.judgments(family));
         format!(
-            "Holm's correction for {tests} tests makes {unsure} of the {decided} verdicts \"holds\" and \"does not \
-             hold\" undecided."
+            "Holm's correction for {tests} tests makes {unsure} of the {} verdicts \"holds\" and \"does not hold\" \
+             undecided.",
+            holds + fails
         )
     }
 
-    /// A table of the claims that the recommended network and the first published runs decide differently.
-    fn differ(&self) -> String {
-        let [recommended, own] = ["recommended", "own"].map(|family| self.place_of(family));
+    /// A table of the claims that a family decides, and that another one leaves open or decides differently.
+    fn differ(&self, family: &str, other: &str) -> String {
         let mut table = format!(
             "\n| claim | scenario | {} | {} |\n|---|---|---|---|\n",
-            titled("recommended"),
-            titled(OWN)
+            titled(self.families.readings[self.place_of(family)]),
+            titled(self.families.readings[self.place_of(other)]),
         );
-        for row in &self.families.rows {
-            let [new, old] = [recommended, own].map(|place| &row.judgments[place]);
+        for (new, old) in self.judgments(family).into_iter().zip(self.judgments(other)) {
             let is_new = matches!(new.verdict(), Verdict::Holds | Verdict::DoesNotHold);
-            if is_new && new.verdict() != old.verdict() {
+            if is_new && new.verdict() != old.verdict() && old.verdict() != Verdict::NoData {
                 let cells = [new, old].map(|one| one.verdict().to_string()).join(" | ");
-                writeln!(table, "| `{}` | {} | {cells} |", row.claim.id(), place(row.scenario)).unwrap();
+                writeln!(table, "| `{}` | {} | {cells} |", new.claim.id(), place(new.scenario)).unwrap();
             }
         }
         table
