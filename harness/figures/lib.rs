@@ -50,13 +50,11 @@ use std::path::{Path, PathBuf};
 pub enum FigureError {
     /// An experiment that the figure needs has no finished run.
     #[error(
-        "{} has no finished runs of {lacking}; {}",
+        "{} has no finished runs of {experiment}; {}",
         root.display(),
         command.as_ref().map_or_else(|| finished(there), |command| format!("make them with `{command}`"))
     )]
     NoRuns {
-        /// The runs that are missing: the experiment's name, and the reading and role if only these lack runs.
-        lacking: String,
         /// The experiment's name.
         experiment: String,
         /// The results folder.
@@ -65,6 +63,21 @@ pub enum FigureError {
         command: Option<String>,
         /// The names of the experiments that have finished runs.
         there: Vec<String>,
+    },
+    /// A role under a reading of an experiment has no finished runs, and no others stand for them.
+    #[error(
+        "there are no finished runs of {experiment} under the reading '{reading}' in the role {role}{}",
+        command.as_ref().map_or_else(String::new, |command| format!("; make them with `{command}`"))
+    )]
+    NoRole {
+        /// The experiment's name.
+        experiment: String,
+        /// The reading's name.
+        reading: String,
+        /// The role's name.
+        role: &'static str,
+        /// The command that makes the experiment's runs. `None` if there is no spec of the experiment's name.
+        command: Option<String>,
     },
     /// The means of a plot differ in a key that the plot does not show.
     #[error(
@@ -170,6 +183,7 @@ impl FigureError {
         matches!(
             self,
             Self::NoRuns { .. }
+                | Self::NoRole { .. }
                 | Self::NoRows { .. }
                 | Self::OnlyPaper { .. }
                 | Self::NoMeans { .. }

@@ -159,11 +159,12 @@ impl<'a> Source<'a> {
         };
         match self.analysis.runs_under(spec, reading, study.name()).first() {
             Some(run) => self.runs_of(&run.record.experiment, Some(&run.record.spec.variant)),
-            None => {
-                let about =
-                    format!("{experiment} under the reading '{reading}' in the role {}", study.name());
-                Err(no_runs_of(self.analysis, experiment, about))
-            }
+            None => Err(FigureError::NoRole {
+                experiment: experiment.to_owned(),
+                reading: reading.to_owned(),
+                role: study.name(),
+                command: command(self.analysis, experiment),
+            }),
         }
     }
 
@@ -233,13 +234,7 @@ impl<'a> Source<'a> {
 }
 
 pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
-    no_runs_of(analysis, experiment, experiment.to_owned())
-}
-
-/// The error that an experiment lacks runs, which `lacking` names.
-fn no_runs_of(analysis: &Analysis, experiment: &str, lacking: String) -> FigureError {
     FigureError::NoRuns {
-        lacking,
         experiment: experiment.to_owned(),
         root: analysis.root().to_owned(),
         command: command(analysis, experiment),

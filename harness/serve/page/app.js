@@ -816,11 +816,10 @@ async function showClaims() {
   try {
     const { columns } = await ask("/api/claims");
     const all = (name) => columns.find((one) => one.name === name)?.values;
-    const [claims, scenarios] = [all("claim"), all("scenario")];
     // The readings of a claim in a scenario are neighbors.
-    const firstRow = (row) => claims.indexOf(claims[row]);
-    const rows = claims.map((_, row) => row);
-    rows.sort((a, b) => firstRow(a) - firstRow(b) || (scenarios[a] ?? "").localeCompare(scenarios[b] ?? "") || a - b);
+    const keys = all("claim").map((claim, row) => `${claim} ${all("scenario")[row]}`);
+    const firstRow = (row) => keys.indexOf(keys[row]);
+    const rows = keys.map((_, row) => row).sort((a, b) => firstRow(a) - firstRow(b) || a - b);
     const of = (name) => rows.map((row) => all(name)[row]);
     const table = [
       { name: "claim", values: of("claim").map((claim) => claim.replaceAll("_", " ")) },
