@@ -716,6 +716,7 @@ fn a_reading_is_drawn_with_the_runs_that_stand_for_it() {
     for (reading, expected) in [
         ("paper/nothing", "paper has no reading 'nothing'; its readings are base, recommended"),
         ("paper", "'paper' names no reading; write EXPERIMENT/READING, for example paper/recommended"),
+        ("smoke/base", "smoke has no readings; name an experiment that has, such as paper"),
         (
             "paper/base",
             "no finished runs of paper under the reading 'base' in the role single_to_multi; make them with `",

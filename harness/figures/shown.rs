@@ -35,6 +35,9 @@ pub enum ReadingError {
     /// The experiment's spec can't be read.
     #[error(transparent)]
     Spec(#[from] SpecError),
+    /// The experiment has no readings.
+    #[error("{0} has no readings; name an experiment that has, such as paper")]
+    NoReadings(String),
     /// The experiment has no such reading.
     #[error("{experiment} has no reading '{wanted}'; its readings are {}", there.join(", "))]
     Unknown {
@@ -57,6 +60,9 @@ impl OfReading {
             text.rsplit_once('/').filter(|(experiment, wanted)| !experiment.is_empty() && !wanted.is_empty());
         let (experiment, wanted) = named.ok_or_else(|| ReadingError::Form(text.to_owned()))?;
         let spec = load(Path::new(experiment), &[], quick)?;
+        if spec.readings.is_empty() {
+            return Err(ReadingError::NoReadings(experiment.to_owned()));
+        }
         let there: Vec<String> = spec.names_of_readings().into_iter().map(str::to_owned).collect();
         if !there.iter().any(|name| name == wanted) {
             let (experiment, wanted) = (experiment.to_owned(), wanted.to_owned());
