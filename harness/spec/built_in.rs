@@ -27,6 +27,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "arm_and_vision",
     "choose_action",
     "choose_best_batch",
+    "choose_best_network",
     "choose_best_regularization",
     "choose_hidden",
     "choose_kl_weight",
