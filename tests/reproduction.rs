@@ -266,7 +266,7 @@ fn every_number_in_the_reproduction_is_what_its_query_gives() {
     let runs = claims::runs(&registry, &chosen, &[], false).unwrap();
     let paper = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
     let families = Readings::new(&registry, &paper, &chosen, &[]).unwrap();
-    let families = families.judge_beside(&chosen, &runs, false).unwrap().without_empty();
+    let families = families.judge_beside(&chosen, &runs, false).unwrap().unwrap();
     let spec = spec::load(&root().join("experiments/readings.yaml"), &[], false).unwrap();
     let matrix = Readings::new(&registry, &spec, &chosen, &[]).unwrap().judge(&chosen).unwrap();
     let source = Source { registry: &registry, families, spec: &spec, matrix };

@@ -22,7 +22,7 @@ use harness_analysis::{
     replicates, unpaired_replicates,
 };
 use harness_catalog::{QueryError, rows};
-use harness_registry::Registry;
+use harness_registry::{Recorded, Registry};
 use harness_shared::nearest;
 use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use metric::ClaimMetric;
@@ -517,7 +517,21 @@ pub fn runs(
     settings: &[Setting],
     quick: bool,
 ) -> Result<Analysis, AnalysisError> {
-    let analysis = Analysis::new(registry, &selection(claims, settings, quick))?;
+    runs_of(registry, registry.recorded(), claims, settings, quick)
+}
+
+/// Like [`runs`], with the runs of a results folder that were read before.
+///
+/// # Errors
+/// Like [`runs`].
+pub fn runs_of(
+    registry: &Registry,
+    recorded: Vec<Recorded>,
+    claims: &[&Claim],
+    settings: &[Setting],
+    quick: bool,
+) -> Result<Analysis, AnalysisError> {
+    let analysis = Analysis::of(registry, recorded, &selection(claims, settings, quick))?;
     Ok(expect(analysis, claims, quick))
 }
 

@@ -45,7 +45,7 @@ impl Matrix<'_> {
     }
 
     /// Whether a reading has judgments, and not the claims' own experiments alone.
-    pub fn has_readings(&self) -> bool {
+    fn has_readings(&self) -> bool {
         self.readings.iter().any(|name| *name != OWN)
     }
 
@@ -171,7 +171,8 @@ impl<'a> Readings<'a> {
         self.judge_with(claims, self.spec.names_of_readings(), |_| Ok(None))
     }
 
-    /// Judges claims under every reading, and by the `runs` of their own experiments.
+    /// Judges claims under every reading that has runs, and by the `runs` of their own experiments. `None` if no reading
+    /// has runs.
     ///
     /// # Errors
     /// Like [`Self::judge`].
@@ -180,12 +181,13 @@ impl<'a> Readings<'a> {
         claims: &[&'c Claim],
         runs: &Analysis,
         quick: bool,
-    ) -> Result<Matrix<'c>, ClaimsError>
+    ) -> Result<Option<Matrix<'c>>, ClaimsError>
     where
         'a: 'c,
     {
         let readings = self.spec.names_of_readings().into_iter().chain([OWN]).collect();
-        self.judge_with(claims, readings, |claim| super::judge(runs, claim, quick).map(Some))
+        let matrix = self.judge_with(claims, readings, |claim| super::judge(runs, claim, quick).map(Some))?;
+        Ok(Some(matrix.without_empty()).filter(Matrix::has_readings))
     }
 
     fn judge_with<'c>(

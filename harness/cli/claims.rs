@@ -54,13 +54,13 @@ impl Claims {
         if let Some(path) = &self.readings {
             return self.execute_readings(registry, path, &chosen, form);
         }
-        let runs = claims::runs(registry, &chosen, &self.settings, self.quick)?;
+        let recorded = registry.recorded();
+        let runs = claims::runs_of(registry, recorded.clone(), &chosen, &self.settings, self.quick)?;
         // A plan is about the claims' own experiments, and so are chosen settings.
         let is_about_all = !self.plan && self.settings.is_empty();
         if let Some(spec) = file.spec_of_readings(registry, self.quick)?.filter(|_| is_about_all) {
-            let readings = Readings::new(registry, &spec, &chosen, &[])?;
-            let matrix = readings.judge_beside(&chosen, &runs, self.quick)?.without_empty();
-            if matrix.has_readings() {
+            let readings = Readings::of(registry, recorded, &spec, &chosen, &[])?;
+            if let Some(matrix) = readings.judge_beside(&chosen, &runs, self.quick)? {
                 return self.print_families(
                     &Families { readings: &readings, spec: &spec, runs: &runs, matrix },
                     form,

@@ -13,7 +13,7 @@ use harness::registry::Registry;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-#[derive(Args, Clone)]
+#[derive(Args)]
 pub struct Figures {
     /// The figures to draw [default: all]
     #[arg(value_name = "NAME", value_parser = figure())]
@@ -70,9 +70,9 @@ impl Figures {
             }
             return self.draw(|figure| figure.render_of(&analysis, experiment, self.modality.clone()));
         }
-        let Self { quick, single, multi, .. } = self.clone();
-        let reading = self.reading.as_ref().map(|text| OfReading::load(text, quick)).transpose()?;
-        let shown = Shown { quick, single, multi, reading };
+        let reading = self.reading.as_ref().map(|text| OfReading::load(text, self.quick)).transpose()?;
+        let (single, multi) = (self.single.clone(), self.multi.clone());
+        let shown = Shown { quick: self.quick, single, multi, reading };
         let analysis = shown.analysis(registry, &self.settings)?;
         for note in analysis.notes() {
             eprintln!("{note}");

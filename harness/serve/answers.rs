@@ -174,16 +174,13 @@ fn of_run(registry: &Registry, recorded: &Recorded, sql: &str) -> Result<DataFra
 /// that the file names has runs, by its readings.
 pub fn claims(registry: &Registry, runs: &[Recorded], file: &ClaimsFile) -> Result<Answer, Failure> {
     let chosen: Vec<&Claim> = file.claims.iter().collect();
-    let selection = harness_claims::selection(&chosen, &[], false);
-    let own = Analysis::of(registry, runs.to_vec(), &selection)?;
-    let own = harness_claims::expect(own, &chosen, false);
+    let own = harness_claims::runs_of(registry, runs.to_vec(), &chosen, &[], false)?;
     let answer = |verdicts: DataFrame| {
         Answer::Json(json!({ "columns": columns(&verdicts, verdicts.height()) }).to_string())
     };
     if let Some(spec) = file.spec_of_readings(registry, false)? {
         let readings = Readings::of(registry, runs.to_vec(), &spec, &chosen, &[])?;
-        let matrix = readings.judge_beside(&chosen, &own, false)?.without_empty();
-        if matrix.has_readings() {
+        if let Some(matrix) = readings.judge_beside(&chosen, &own, false)? {
             return Ok(answer(matrix.table()?));
         }
     }
