@@ -104,8 +104,8 @@ fn unknown_names_and_files_are_refused_with_what_there_is() {
     assert!(
         unknown.starts_with(
             "error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: \
-                             arm_and_vision, "
-        ) && unknown.ends_with(", vision_assumptions, or the path of a file\n"),
+                             choose_action, "
+        ) && unknown.ends_with(", value, or the path of a file\n"),
         "{unknown}"
     );
     let missing =

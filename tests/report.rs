@@ -513,14 +513,14 @@ fn an_experiment_with_other_inputs_is_no_study_in_figures() {
         assert_eq!(answer.code, 0, "{}", answer.stderr);
         between(&fs::read_to_string(out).unwrap(), "<section id=\"figures\">", "</section>").to_owned()
     };
-    // The arm's joints are a third input of arm_and_vision.
-    let without_multi = figures(&["single_to_multi", "arm_and_vision"]);
+    // Some networks of senses have other inputs than those of multi_to_multi.
+    let without_multi = figures(&["single_to_multi", "senses"]);
     assert!(without_multi.contains("id=\"figure-forces_dataset\""));
     assert!(!without_multi.contains("id=\"figure-prediction_results\""));
     // A study's own experiment is drawn, not another one with the same inputs.
     let studies = figures(&["single_to_multi", "multi_to_multi"]);
     assert!(studies.contains("id=\"figure-prediction_results\""));
-    let experiments = ["arm_and_vision", "multi_to_multi_best", "multi_to_multi", "single_to_multi"];
+    let experiments = ["senses", "multi_to_multi_best", "multi_to_multi", "single_to_multi"];
     assert!(figures(&experiments) == studies);
 }
 

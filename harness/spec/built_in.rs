@@ -24,7 +24,6 @@ macro_rules! built_in {
 
 /// All specs in `experiments/`, in the order of their names.
 pub const SPECS: &[BuiltIn] = built_in![
-    "arm_and_vision",
     "choose_action",
     "choose_best_batch",
     "choose_best_network",
@@ -54,7 +53,6 @@ pub const SPECS: &[BuiltIn] = built_in![
     "single_to_multi_best",
     "smoke",
     "value",
-    "vision_assumptions",
 ];
 
 impl BuiltIn {

@@ -1275,7 +1275,7 @@ select experiment, run, epoch, sum(seconds) over (partition by experiment, run o
 select experiment, run, min(value) as least from (select experiment, run, value, sum(seconds) over (partition by experiment, run order by epoch) as time from epochs where task = 'prediction' and split = 'validation' and term = 'total') as e where time < 60 group by experiment, run
 
 -- agree: the share of epochs that are done by the time
-select experiment, run, epoch, 1.0 * row_number() over (partition by experiment, run order by epoch) / count(*) over (partition by experiment, run) as share from epochs where experiment = 'vision_assumptions' and task = 'prediction' and split = 'train' and term = 'kl'
+select experiment, run, epoch, 1.0 * row_number() over (partition by experiment, run order by epoch) / count(*) over (partition by experiment, run) as share from epochs where experiment = 'choose_recipe' and task = 'prediction' and split = 'train' and term = 'kl'
 
 -- agree: the first and the last loss
 select distinct experiment, run, first_value(value) over (partition by experiment, run order by epoch) as first, last_value(value) over (partition by experiment, run order by epoch rows between unbounded preceding and unbounded following) as last from epochs where task = 'prediction' and split = 'train' and term = 'total'
@@ -1547,7 +1547,7 @@ select experiment, latent, from runs where experiment = 'choose_multi_widths'
 select experiment e, count(*) n from runs r where r.latent > 4 group by experiment
 
 -- agree: the same column twice with other names
-select latent as a, latent as b, latent + 0 as c from runs where experiment = 'arm_and_vision'
+select latent as a, latent as b, latent + 0 as c from runs where experiment = 'choose_best_batch'
 
 -- agree: names of select are not seen in where
 select latent * 2 as seed, count(*) as n from runs where seed = 0 group by latent
