@@ -359,7 +359,7 @@ fn panels_say_what_bars_are_over_and_what_predicting_zero_gives() {
     for figure in [Figure::PredictionResults, Figure::ReconstructionPerformance] {
         let svg = svg(figure);
         let panels = if figure == Figure::PredictionResults { 6 } else { 2 };
-        assert_eq!(svg.matches("bars: 95 % over 2 seeds").count(), panels);
+        assert_eq!(svg.matches("latent size (2 seeds)").count(), panels);
         // A black dashed line across a panel, or a note with an arrow where it lies above. For R², it is that of the
         // mean.
         let line = svg.matches("stroke=\"#1a1a1a\" stroke-width=\"0.6\" stroke-dasharray").count();
@@ -465,7 +465,7 @@ fn datasets_are_told_apart() {
     };
     let [forces, errors] = names.map(read);
     let svg = fs::read_to_string(out.join("prediction_results.svg")).unwrap();
-    assert!(svg.contains("bars: 95 % over 2 datasets"));
+    assert!(svg.contains("latent size (2 datasets)"));
 
     // A distribution is that of one dataset.
     let first = "select index, max(contacts) as contacts, max(mean) as mean from forces join runs \

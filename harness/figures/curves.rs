@@ -163,6 +163,7 @@ impl Measured<'_> {
         panel.left_axis(page, scale, label);
         let note = Type::SMALL.color(GRAY);
         let line = if self.of.is_r2() { 0.0 } else { ZERO };
+        let mut below_notes = panel.top;
         if scale.clamp(line) == line {
             let y = scale.at(line);
             page.line([panel.left, y], [panel.right(), y], Stroke::new(BLACK, 0.6).dashed());
@@ -172,21 +173,18 @@ impl Measured<'_> {
             page.text(&text, [x, y], note.start());
             let x = x + note.width(&text) + 5.0;
             page.arrow(&[[x, y], [x, y - 8.0]], Stroke::new(GRAY, 0.6));
+            below_notes = y + 4.0;
         }
-        let over = self.of.runs.replicates();
-        let bars = over.map_or("one seed, no bars".to_owned(), |over| format!("bars: 95 % over {over}"));
-        // Small errors are low, and large R² are high: the note takes the end of the axis that has room.
-        let y = if self.of.is_r2() { panel.top + 6.0 } else { panel.bottom() - 3.0 };
-        page.text(&bars, [panel.left + 3.0, y], note.start());
         let mut names: Vec<String> = self.latents.iter().map(usize::to_string).collect();
         names.extend(self.of.baseline.map(|(_, name)| name.to_owned()));
         let slots = panel.slots(names.len());
-        panel.bottom_names(page, &slots, &names, "latent size");
+        let over = self.of.runs.replicates().unwrap_or_else(|| "one seed, no bars".to_owned());
+        panel.bottom_names(page, &slots, &names, &format!("latent size ({over})"));
         panel.heading(page, self.of.letter, &self.of.runs.input());
         let width = panel.width / names.len() as f64;
         if self.of.baseline.is_some() {
             let x = panel.right() - width;
-            page.line([x, panel.top], [x, panel.bottom()], Stroke::new(GRAY, 0.5).dashed());
+            page.line([x, below_notes], [x, panel.bottom()], Stroke::new(GRAY, 0.5).dashed());
         }
         for curve in &self.curves {
             let second = [curve.scenario != Scenario::PAPER[0], curve.direction != Direction::FINGER[0]];
