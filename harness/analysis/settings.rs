@@ -131,17 +131,19 @@ impl fmt::Display for Difference {
 /// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
 /// one, because then the world, its model or MuJoCo differs.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
+    let varied = varied(runs);
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    let keys: BTreeSet<&str> = runs.iter().flat_map(|run| run.keys()).map(String::as_str).collect();
-    for key in keys.into_iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
+    for key in varied.iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
         values.insert(key, concerned(runs, key).map(|run| value(run, key)).collect());
     }
-    let mut datasets: BTreeMap<Vec<(&str, &str)>, BTreeSet<&str>> = BTreeMap::new();
-    for run in runs {
-        let of_dataset = |key: &str| key == "scenario" || key.starts_with(SIMULATION);
-        let key =
-            run.iter().filter(|(key, _)| of_dataset(key)).map(|(key, value)| (key.as_str(), value.as_str()));
-        datasets.entry(key.collect()).or_default().insert(value(run, DATASET));
+    let mut datasets: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
+    if varied.contains(DATASET) {
+        let of_dataset = |key: &&&str| **key == "scenario" || key.starts_with(SIMULATION);
+        let keys: Vec<&str> = varied.iter().filter(of_dataset).copied().collect();
+        for run in runs {
+            let own = keys.iter().map(|key| value(run, key)).collect();
+            datasets.entry(own).or_default().insert(value(run, DATASET));
+        }
     }
     if datasets.values().any(|names| names.len() > 1) {
         values.insert(DATASET, datasets.into_values().flatten().collect());
@@ -153,6 +155,22 @@ pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
         Difference { key: key.to_owned(), values: sorted(values), in_variant, of_scenario }
     };
     differing.map(difference).collect()
+}
+
+/// The keys that some run has and another lacks, or whose values differ.
+fn varied<'a>(runs: &[&'a Settings]) -> BTreeSet<&'a str> {
+    let Some((first, others)) = runs.split_first() else { return BTreeSet::new() };
+    let mut varied = BTreeSet::new();
+    for run in others {
+        if run.keys().eq(first.keys()) {
+            let differing = run.iter().zip(first.values()).filter(|((_, value), other)| value != other);
+            varied.extend(differing.map(|((key, _), _)| key.as_str()));
+        } else {
+            let keys = run.keys().chain(first.keys());
+            varied.extend(keys.filter(|key| run.get(*key) != first.get(*key)).map(String::as_str));
+        }
+    }
+    varied
 }
 
 /// Whether all runs in the same scenario have the same value of a setting.
