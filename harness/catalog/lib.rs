@@ -142,10 +142,7 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
     };
     let found = match table {
         Table::Runs if runs.is_empty() => None,
-        Table::Runs => {
-            let records: Vec<RunRecord> = runs.iter().map(|(_, record)| record.clone()).collect();
-            Some(runs_table(&records)?.lazy())
-        }
+        Table::Runs => Some(runs_table(runs.iter().map(|(_, record)| record.clone()).collect())?),
         Table::Episodes => episodes(&episode_files(registry, runs)?)?,
         Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
             let rows = run_table(registry, table, table, &done(), query)?;

@@ -505,13 +505,30 @@ fn key_columns(records: &[RunRecord]) -> Vec<Column> {
     ]
 }
 
-/// The `runs` table, with a row for each record.
+/// The `runs` table, with a row for each record. A query that does not read the hashes does not compute them.
 ///
 /// # Errors
 /// When Polars fails.
-pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
-    let group_hashes: Vec<String> = records.par_iter().map(RunRecord::group_hash).collect();
-    let task_hashes: Vec<String> = records.par_iter().map(|run| run.spec.task_hash(&run.dataset)).collect();
+pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
+    /// The position of a row's record.
+    const RECORD: &str = "record";
+    let shared = Arc::new(records);
+    let hash = |name: &str, of: fn(&RunRecord) -> String| {
+        let records = shared.clone();
+        let hashes = move |rows: Column| {
+            let rows: Vec<Option<u32>> = rows.u32()?.iter().collect();
+            let of_row = |row: Option<u32>| records.get(row? as usize).map(of);
+            let hashes: Vec<Option<String>> = rows.into_par_iter().map(of_row).collect();
+            Ok(Column::new(RECORD.into(), hashes))
+        };
+        let text = |_: &Schema, field: &Field| Ok(Field::new(field.name().clone(), DataType::String));
+        col(RECORD).map(hashes, text).alias(name)
+    };
+    let hashes = [
+        hash("group_hash", RunRecord::group_hash),
+        hash("task_hash", |run| run.spec.task_hash(&run.dataset)),
+    ];
+    let records = shared.as_slice();
     let seconds = |name: &str, of: fn(&Timings) -> Option<f64>| {
         column_of(records, name, |run| run.timings.as_ref().and_then(of))
     };
@@ -524,7 +541,6 @@ pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
         column_of(records, "status", |run| run.status.name()),
         column_of(records, "reason", |run| run.reason.as_deref()),
         column_of(records, "spec_hash", |run| run.spec_hash.as_str()),
-        Column::new("group_hash".into(), group_hashes),
         column_of(records, "dataset", |run| run.dataset.as_str()),
         column_of(records, "dataset_seed", |run| run.spec.simulation.as_ref().map(|of| of.seed as i64)),
         column_of(records, "reading", |run| run.spec.reading()),
@@ -546,11 +562,12 @@ pub fn runs_table(records: &[RunRecord]) -> PolarsResult<DataFrame> {
         column_of(records, "processor", |run| run.provenance.processor.as_str()),
         column_of(records, "threads", |run| run.provenance.threads as i64),
         column_of(records, "command", |run| run.provenance.command.as_str()),
-        Column::new("task_hash".into(), task_hashes),
         column_of(records, "notes", RunRecord::notes),
+        Column::new(RECORD.into(), (0..records.len() as u32).collect::<Vec<_>>()),
     ]);
-    DataFrame::new(records.len(), columns)?
-        .select(Table::Runs.columns().into_iter().map(|column| column.name))
+    let columns_of_table =
+        Table::Runs.columns().into_iter().map(|column| col(column.name)).collect::<Vec<_>>();
+    Ok(DataFrame::new(records.len(), columns)?.lazy().with_columns(hashes).select(columns_of_table))
 }
 
 /// The number of episodes of each simulated dataset that finished runs used. Published runs are not counted, because
