@@ -370,3 +370,37 @@ fn a_task_needs_no_network_and_may_predict_further() {
     let refused = finish(&mut harness(&results, &["run", path]));
     assert!(refused.code == 2 && refused.stderr.contains("latent"), "{}", refused.stderr);
 }
+
+#[test]
+fn the_simulator_repeats_its_samples_from_a_rounded_state() {
+    let results = fresh("external-simulator");
+    let settings = ["input=[proprioception]", "output=[proprioception,contact_force]", "window.horizon=5"];
+    let asked = [&settings[..], &["scenarios=[cluttered]"]].concat();
+    succeed(&results, &[&["collect", SMOKE][..], &asked].concat());
+    let judge = |more: &[&str]| [&["judge", SMOKE, "simulator"], &asked[..], more].concat();
+    succeed(&results, &[&["--threads", "1"], &judge(&[])[..]].concat());
+    let sql = "select horizon, modality, value from all_metrics where metric = 'r2' and model = 'network'
+               and index is null and direction is null";
+    let found = succeed(&results, &["query", sql, "--format", "csv"]);
+    let r2: Vec<f64> =
+        found.lines().skip(1).map(|row| row.rsplit(',').next().unwrap().parse().unwrap()).collect();
+    // Horizons 1, 2 and 5 of two modalities.
+    assert!(r2.len() == 6 && r2.iter().all(|r2| *r2 > 0.9), "{found}");
+    // The rounding shows: no prediction is a copy of the sample.
+    let sql = "select max(abs(predicted - reference)) from all_predictions";
+    let largest = succeed(&results, &["query", sql, "--format", "csv"]);
+    assert!(largest.lines().nth(1).unwrap().parse::<f64>().unwrap() > 0.0, "{largest}");
+    // Whatever the threads, the values are the same.
+    let again = succeed(&results, &[&["--threads", "2"], &judge(&[])[..]].concat());
+    assert!(again.contains("the same predictions were judged before"), "{again}");
+
+    let refused = |arguments: &[&str]| {
+        let answer = finish(&mut harness(&results, arguments));
+        assert_eq!((answer.code, &*answer.stdout), (2, ""), "{}", answer.stderr);
+        answer.stderr
+    };
+    let image = refused(&judge(&["output=[frame_difference]"]));
+    assert!(image.contains("frame_difference is an image or a change"), "{image}");
+    let unnamed = refused(&[&["judge", SMOKE, "some.csv"], &asked[..]].concat());
+    assert_eq!(unnamed, "error: the model has no name; give it one, for example --model my_gru\n");
+}

@@ -20,6 +20,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+/// What stands for the predictions of the simulator itself, and the usual name of that model.
+const SIMULATOR: &str = "simulator";
+
 /// Why no task can be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum TaskError {
@@ -54,6 +57,9 @@ pub enum TaskError {
         /// The command that collects them.
         command: String,
     },
+    /// The model has no name.
+    #[error("the model has no name; give it one, for example --model my_gru")]
+    NoModel,
     /// The file can't be read.
     #[error(transparent)]
     File(#[from] TableError),
@@ -87,7 +93,8 @@ pub struct Judge {
     /// The experiment that asks for the predictions: a YAML file, or a name, as for `harness run`
     #[arg(value_name = "SPEC")]
     path: PathBuf,
-    /// The file of predictions: Parquet, or CSV if its name ends in .csv. `harness task` lists its columns
+    /// The file of predictions: Parquet, or CSV if its name ends in .csv. `harness task` lists its columns. The word
+    /// `simulator` stands for what the simulator itself predicts from the state at each sample, rounded to f32
     #[arg(value_name = "PREDICTIONS")]
     predictions: PathBuf,
     /// Settings to change, as for `harness run`
@@ -96,9 +103,9 @@ pub struct Judge {
     /// Use the spec's `quick` settings, as for `harness run`
     #[arg(long)]
     quick: bool,
-    /// Name of the model in tables: letters, digits, '_', '-' and '.'
-    #[arg(long, value_name = "NAME")]
-    model: String,
+    /// Name of the model in tables: letters, digits, '_', '-' and '.' [default for the simulator: simulator]
+    #[arg(long, value_name = "NAME", default_value_if("predictions", SIMULATOR, SIMULATOR))]
+    model: Option<String>,
     /// Seed of the model's training
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -124,6 +131,7 @@ impl Judge {
     /// Judges the predictions, writes the run, and prints its metrics.
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let spec = Spec { path: self.path, overrides: self.overrides, quick: self.quick };
+        let model = self.model.ok_or(TaskError::NoModel)?;
         let experiment = spec.load_task()?;
         let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
         let runner = Runner::new(registry, threads, &provenance, &bars);
@@ -133,10 +141,14 @@ impl Judge {
             let (dataset, command) = (task.dataset().name().to_owned(), collect(registry, &spec));
             return Err(TaskError::NotCollected { dataset, missing, command }.into());
         }
-        let predictions = Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?);
+        let read = match self.predictions.to_str() {
+            Some(SIMULATOR) => None,
+            _ => Some(Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?)),
+        };
         interrupt::install()?;
         let task = runner.open_task(task)?;
-        let (model, seed, notes) = (self.model, self.seed, BTreeMap::from_iter(self.notes));
+        let predictions = read.map_or_else(|| task.simulated(&bars), Ok)?;
+        let (seed, notes) = (self.seed, BTreeMap::from_iter(self.notes));
         let (task_hash, network) = (self.task, self.network);
         let external = External { model, seed, notes, task: task_hash, network, predictions };
         let JudgedRun { record, was_done } = runner.judge(&task, external)?;
@@ -267,5 +279,6 @@ fn print_results(registry: &Registry, experiment: &str, tasks: &[String]) -> Res
 pub fn is_usage(error: &anyhow::Error) -> bool {
     let is_wrong = |error: &SubmissionError| !matches!(error, SubmissionError::Held { .. });
     error.is::<TaskError>()
+        || matches!(error.downcast_ref(), Some(ExperimentError::Simulator(_)))
         || matches!(error.downcast_ref(), Some(ExperimentError::Submission(error)) if is_wrong(error))
 }

@@ -368,6 +368,7 @@ and its locks must work across nodes.";
 const JUDGE_HELP: &str = "Examples:
   harness judge smoke predictions.parquet --cell empty --model my_gru --seed 0
   harness judge smoke predictions.csv --cell empty --model my_gru --seed 1 --note commit=ab12cd3
+  harness judge memory simulator --cell empty-role=angles,memory=none
 
 The predictions become a run of the experiment, beside the networks that `harness run` trains: `harness compare`, \
 `query`, `plot` and `report` show it. Its metrics are computed by the program, on the same test windows and with the \

@@ -198,6 +198,11 @@ impl OpenTask {
         &self.open.data.samples
     }
 
+    /// Returns where the samples come from.
+    pub(super) fn source(&self) -> &Source {
+        &self.task.source
+    }
+
     /// Returns the windows for training, validation and test, each with its whole context in its part.
     pub fn windows(&self) -> &Partition {
         &self.windows

@@ -7,6 +7,7 @@ mod model;
 mod rollout;
 mod schedule;
 mod search;
+mod simulator;
 
 pub use export::{NetworkFile, attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
@@ -14,6 +15,7 @@ pub use model::{Model, ModelError, Values};
 pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};
+pub use simulator::SimulatorError;
 
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
@@ -52,6 +54,9 @@ pub enum ExperimentError {
     /// The world can't be simulated.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// The simulator can't predict the samples.
+    #[error(transparent)]
+    Simulator(#[from] SimulatorError),
     /// The dataset can't be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

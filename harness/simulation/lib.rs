@@ -23,6 +23,7 @@ mod placement;
 mod plan;
 mod plugins;
 mod resolve;
+mod restart;
 mod scene;
 mod sensors;
 mod sight;
@@ -39,6 +40,7 @@ pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
 pub use opengl::{prepare_rendering, renderer_name};
 pub use plan::EpisodePlan;
+pub use restart::simulate_on;
 pub use scene::Scene;
 
 pub use harness_spec::{Episode, Pose};

@@ -319,6 +319,21 @@ impl<'s> Physics<'s> {
         }
     }
 
+    /// Goes on from where another simulation of the same episode is, with the state rounded to f32.
+    pub fn go_on_from(&mut self, other: &Self) {
+        other.data.copy_to(&mut self.data).expect("both have the episode's model");
+        let round =
+            |values: &mut [f64]| values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
+        round(self.data.qpos_mut());
+        round(self.data.qvel_mut());
+        round(self.data.act_mut());
+        self.step = other.step;
+        self.probe = other.probe;
+        self.mean.clone_from(&other.mean);
+        self.setpoint.clone_from(&other.setpoint);
+        self.instant.state.clone_from(&other.instant.state);
+    }
+
     fn command(&mut self) {
         let ctrl = self.data.ctrl_mut();
         for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {

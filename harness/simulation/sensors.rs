@@ -75,7 +75,7 @@ fn normal_force(scene: &Scene, data: &MjData<impl ModelType>, contact: &MjContac
 }
 
 /// The mean of the forces since the last [`MeanForces::take`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct MeanForces {
     sum: Vec<f64>,
     steps: usize,
