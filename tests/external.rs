@@ -377,7 +377,7 @@ fn the_simulator_repeats_its_samples_from_a_rounded_state() {
     let settings = ["input=[proprioception]", "output=[proprioception,contact_force]", "window.horizon=5"];
     let asked = [&settings[..], &["scenarios=[cluttered]"]].concat();
     succeed(&results, &[&["collect", SMOKE][..], &asked].concat());
-    let judge = |more: &[&str]| [&["judge", SMOKE, "simulator"], &asked[..], more].concat();
+    let judge = |more: &[&'static str]| [&["judge", SMOKE, "simulator"], &asked[..], more].concat();
     succeed(&results, &[&["--threads", "1"], &judge(&[])[..]].concat());
     let sql = "select horizon, modality, value from all_metrics where metric = 'r2' and model = 'network'
                and index is null and direction is null";
