@@ -300,10 +300,14 @@ fn axes_have_units() {
         let words = words(figure);
         expected.iter().for_each(|text| assert!(words.contains(*text), "{text} is not among {words:?}"));
     };
-    let errors =
-        ["proprioception, SMAPE (%)", "contact force, WMAPE (%)", "contact force, R²", "latent size"];
+    let errors = [
+        "proprioception, SMAPE (%)",
+        "contact force, WMAPE (%)",
+        "contact force, R²",
+        "latent size (2 seeds)",
+    ];
     has(Figure::PredictionResults, &errors);
-    has(Figure::ReconstructionPerformance, &["proprioception, SMAPE (%)", "latent size"]);
+    has(Figure::ReconstructionPerformance, &["proprioception, SMAPE (%)", "latent size (2 seeds)"]);
     let forces = ["samples in contact (%)", "force in contact (N)", "samples with ≥ force (%)", "force (N)"];
     has(Figure::ForcesDataset, &forces);
     let regression = ["predicted (rad)", "reference (rad)", "predicted (N)", "reference (N)"];
