@@ -404,34 +404,53 @@ fn places(key: Key, of: &Of, values: &Values, labels: &Labels) -> Range<usize> {
     place..place + 1
 }
 
-/// Makes one series of the series of a baseline that have the same points up to rounding. It keeps the values that they
-/// share, or the first ones if another series of this baseline shares the same.
+/// The points of a series by panel and slot, each with its text.
+type Points<'a> = BTreeMap<(usize, usize), BTreeMap<String, Spot<'a>>>;
+
+/// Makes one series of the series of a baseline that agree, up to rounding, wherever both have points. It keeps the
+/// values that they share, or the first ones if another series of this baseline shares the same.
 fn merged<'a, 'b>(
     baselines: BTreeMap<(&'b str, Values), Vec<Spot<'a>>>,
 ) -> Vec<(&'b str, Values, Vec<Spot<'a>>)> {
-    let text = |spot: &Spot| {
-        let ends = [spot.value.mean, spot.value.low(), spot.value.high()];
-        format!("{} {} {}", spot.panel, spot.slot, ends.map(|end| format!("{end:.4e}")).join(" "))
-    };
-    /// A baseline and the texts of its points.
-    type Points<'b> = (&'b str, Vec<String>);
-    let mut alike: BTreeMap<Points, (Values, Values, Vec<Spot>)> = BTreeMap::new();
-    for ((model, by), mut spots) in baselines {
-        spots.sort_by_key(|spot| (spot.panel, spot.slot));
-        let same = alike.entry((model, spots.iter().map(text).collect()));
-        let (shared, ..) = same.or_insert_with(|| (by.clone(), by.clone(), spots));
-        shared.retain(|value| by.contains(value));
+    struct Alike<'a, 'b> {
+        model: &'b str,
+        shared: Values,
+        first: Values,
+        points: Points<'a>,
     }
-    let shared: Vec<(&str, Values)> =
-        alike.iter().map(|((model, _), (shared, ..))| (*model, shared.clone())).collect();
+    let mut all: Vec<Alike> = Vec::new();
+    for ((model, by), spots) in baselines {
+        let mut points = Points::new();
+        for spot in spots {
+            let ends = [spot.value.mean, spot.value.low(), spot.value.high()];
+            let text = ends.map(|end| format!("{end:.4e}")).join(" ");
+            points.entry((spot.panel, spot.slot)).or_default().insert(text, spot);
+        }
+        match all.iter_mut().find(|other| other.model == model && agree(&other.points, &points)) {
+            Some(alike) => {
+                alike.shared.retain(|value| by.contains(value));
+                for (place, found) in points {
+                    alike.points.entry(place).or_insert(found);
+                }
+            }
+            None => all.push(Alike { model, shared: by.clone(), first: by, points }),
+        }
+    }
+    let shared: Vec<(&str, Values)> = all.iter().map(|alike| (alike.model, alike.shared.clone())).collect();
     let is_unique = |model: &str, by: &Values| {
         shared.iter().filter(|(other, values)| *other == model && values == by).count() == 1
     };
-    let named = |((model, _), (shared, first, spots))| {
+    let named = |Alike { model, shared, first, points }: Alike<'a, 'b>| {
         let by = if is_unique(model, &shared) { shared } else { first };
-        (model, by, spots)
+        (model, by, points.into_values().flat_map(BTreeMap::into_values).collect())
     };
-    alike.into_iter().map(named).collect()
+    all.into_iter().map(named).collect()
+}
+
+/// Whether two series have a place in common, and the same points at each place that both have.
+fn agree(a: &Points, b: &Points) -> bool {
+    let mut common = a.iter().filter_map(|(place, found)| Some((found, b.get(place)?))).peekable();
+    common.peek().is_some() && common.all(|(a, b)| a.keys().eq(b.keys()))
 }
 
 /// Draws a point, or an arrow at the end of the axis if it lies beyond.
