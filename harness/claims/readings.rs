@@ -171,8 +171,8 @@ impl<'a> Readings<'a> {
         self.judge_with(claims, self.spec.names_of_readings(), |_| Ok(None))
     }
 
-    /// Judges claims under every reading that has runs, and by the `runs` of their own experiments. Returns `None` if no
-    /// reading has runs.
+    /// Judges claims under every reading that has runs, and by the `runs` of their own experiments. Returns `None` if
+    /// no reading has runs.
     ///
     /// # Errors
     /// Like [`Self::judge`].
