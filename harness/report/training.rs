@@ -3,6 +3,7 @@
 use super::{Asked, short};
 use harness_catalog::{QueryError, RunTable};
 use harness_registry::{Registry, RunRecord, Status};
+use harness_spec::RunSpec;
 use harness_tables::schema::Table;
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
@@ -10,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Largest number of epochs per training in the page. They are evenly chosen and include the first and the last.
 const EPOCHS: usize = 100;
-/// Target for the number of epochs of all trainings together. If there are many trainings, each of them has fewer
+/// Target for the number of epochs of all trainings together. If there are many trainings, the long ones have fewer
 /// epochs, but at least [`FEWEST_EPOCHS`].
 const ALL_EPOCHS: usize = 20_000;
 /// Least number of epochs per training in the page, if the training has as many.
@@ -41,8 +42,7 @@ pub fn curves(registry: &Registry, asked: &Asked) -> Result<Vec<Curves>, QueryEr
             && (run.spec.reading().is_none() || !asked.experiments.is_empty())
     };
     let runs: Vec<RunRecord> = registry.records().into_iter().filter(is_shown).collect();
-    let trainings: usize = runs.iter().map(|run| run.spec.tasks.len()).sum();
-    let kept = (ALL_EPOCHS / trainings.max(1)).clamp(FEWEST_EPOCHS, EPOCHS);
+    let kept = epochs_kept(&runs);
     let mut curves = Vec::new();
     for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {
         let experiment = &runs[0].experiment;
@@ -52,6 +52,17 @@ pub fn curves(registry: &Registry, asked: &Asked) -> Result<Vec<Curves>, QueryEr
         curves.extend(of_runs.into_iter().flatten());
     }
     Ok(curves)
+}
+
+/// Returns the largest number of epochs per training with which all trainings together stay within the target.
+fn epochs_kept(runs: &[RunRecord]) -> usize {
+    let all = |kept: usize| -> usize {
+        let of_run = |spec: &RunSpec| {
+            spec.trained().map_or(0, |trained| spec.tasks.len() * trained.training.epochs.min(kept))
+        };
+        runs.iter().map(|run| of_run(&run.spec)).sum()
+    };
+    (FEWEST_EPOCHS..=EPOCHS).rev().find(|kept| all(*kept) <= ALL_EPOCHS).unwrap_or(FEWEST_EPOCHS)
 }
 
 /// Returns the curves of a table's runs by run and task. The rows of each run must follow each other.
