@@ -66,11 +66,9 @@ pub fn all_settings(record: &RunRecord) -> BTreeMap<String, String> {
 /// The settings in which some runs differ, with each run's value; `None` where a run does not have the setting.
 pub fn varied_settings(runs: &[Recorded]) -> BTreeMap<String, Vec<Option<String>>> {
     let all: Vec<Settings> = runs.par_iter().map(|(_, record)| all_settings(record)).collect();
-    let keys: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
-    let values =
-        |key: &String| -> Vec<Option<String>> { all.iter().map(|run| run.get(key).cloned()).collect() };
-    let varied = keys.into_iter().map(|key| (key.clone(), values(key)));
-    varied.filter(|(_, values)| values.iter().any(|value| *value != values[0])).collect()
+    let values = |key: &str| all.iter().map(|run| run.get(key).cloned()).collect();
+    let varied = varied(&all.iter().collect::<Vec<_>>());
+    varied.into_iter().map(|key| (key.to_owned(), values(key))).collect()
 }
 
 /// What differs between two runs, as (key, value of `a`, value of `b`): settings, dataset, code, versions and machine.
