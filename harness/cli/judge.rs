@@ -141,13 +141,12 @@ impl Judge {
             let (dataset, command) = (task.dataset().name().to_owned(), collect(registry, &spec));
             return Err(TaskError::NotCollected { dataset, missing, command }.into());
         }
-        let read = match self.predictions.to_str() {
-            Some(SIMULATOR) => None,
-            _ => Some(Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?)),
+        let predictions = match self.predictions.to_str() {
+            Some(SIMULATOR) => Predictions::Simulated,
+            _ => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
         };
         interrupt::install()?;
         let task = runner.open_task(task)?;
-        let predictions = read.map_or_else(|| task.simulated(&bars), Ok)?;
         let (seed, notes) = (self.seed, BTreeMap::from_iter(self.notes));
         let (task_hash, network) = (self.task, self.network);
         let external = External { model, seed, notes, task: task_hash, network, predictions };

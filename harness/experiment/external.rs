@@ -1,12 +1,14 @@
 //! Models of other programs: what a cell of an experiment asks of them, and the runs that their predictions become.
 
 use super::evaluate::{self, References};
+use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
 use harness_judge::{Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
+use harness_shared::progress::Progress;
 use harness_shared::seal::hex;
 use harness_spec::{
     Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task, WindowStart,
@@ -198,11 +200,6 @@ impl OpenTask {
         &self.open.data.samples
     }
 
-    /// Returns where the samples come from.
-    pub(super) fn source(&self) -> &Source {
-        &self.task.source
-    }
-
     /// Returns the windows for training, validation and test, each with its whole context in its part.
     pub fn windows(&self) -> &Partition {
         &self.windows
@@ -217,7 +214,11 @@ impl OpenTask {
     }
 
     /// Checks predictions, and makes a predictor of those of each set of inputs.
-    fn recorded(&self, predictions: Predictions) -> Result<Vec<Recorded<'_>>, SubmissionError> {
+    fn recorded(
+        &self,
+        predictions: Predictions,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Recorded<'_>>, ExperimentError> {
         let (samples, windows, spec) = (&**self.samples(), &self.open.partition.test, &self.task.spec);
         let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
         let model = models::NETWORK;
@@ -225,9 +226,13 @@ impl OpenTask {
             Predictions::Windows(values) => {
                 vec![Recorded::of_windows(model, samples, windows, values).map_err(wrong)?]
             }
+            Predictions::Simulated => {
+                let values = simulated(&self.task.source, spec, samples, windows, progress)?;
+                vec![Recorded::of_windows(model, samples, windows, values).map_err(wrong)?]
+            }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
-                    return Err(SubmissionError::OnlyGiven);
+                    return Err(SubmissionError::OnlyGiven.into());
                 }
                 rows.keys().flatten().try_for_each(|given| self.check_given(given))?;
                 let of = |(given, rows): (Option<Vec<Modality>>, Vec<PredictedRow>)| {
@@ -239,7 +244,7 @@ impl OpenTask {
             }
         };
         if recorded.is_empty() {
-            return Err(wrong(RecordedError::Empty));
+            return Err(wrong(RecordedError::Empty).into());
         }
         let horizons = spec.window.horizons();
         recorded.iter().try_for_each(|recorded| recorded.check(&spec.output, &horizons)).map_err(wrong)?;
@@ -283,6 +288,8 @@ pub enum Predictions {
     Rows(PredictedRows),
     /// All values of a modality at a horizon, `[windows, width]` in physical units; images channel by channel.
     Windows(BTreeMap<(Modality, usize), Vec<f32>>),
+    /// Those of the simulator itself, from the state at each present sample, rounded to f32.
+    Simulated,
 }
 
 /// A model of another program with its predictions.
@@ -421,7 +428,7 @@ impl Runner<'_> {
         external.check(&task.task)?;
         let attached = external.attached_name()?;
         let External { model, seed, notes, network, predictions, .. } = external;
-        let recorded = task.recorded(predictions)?;
+        let recorded = task.recorded(predictions, self.progress)?;
         let spec = task.task.run(&model, seed);
         let folder = self.registry.run(&task.task.experiment, &spec, task.task.source.dataset.name());
         let submission = Submission {

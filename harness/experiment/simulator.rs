@@ -1,12 +1,11 @@
 //! What the simulator itself predicts: an upper bound for any model of the same samples.
 
-use super::external::{OpenTask, Predictions};
 use super::{ExperimentError, Source};
 use harness_dataset::{AnyDataset, Dataset};
 use harness_samples::{Sample, Samples};
 use harness_shared::progress::Progress;
-use harness_simulation::{Scene, simulate_on};
-use harness_spec::{Episode, Modality};
+use harness_simulation::{Scene, SimulatedOn, simulate_on};
+use harness_spec::{Episode, Modality, RunSpec};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -37,49 +36,51 @@ pub enum SimulatorError {
     },
 }
 
-impl OpenTask {
-    /// Simulates the outputs at each horizon, from the state at each present sample of the test windows, rounded to
-    /// f32. Episodes are simulated in parallel.
-    ///
-    /// # Errors
-    /// When the dataset is not simulated, an output is not sensed, or the simulation differs from the dataset.
-    pub fn simulated(&self, progress: &dyn Progress) -> Result<Predictions, ExperimentError> {
-        let (outputs, horizons) = (&self.task().spec().output, self.task().spec().window.horizons());
-        let Source { dataset, scene } = self.source();
-        let (AnyDataset::Simulated(dataset), Some(scene)) = (dataset, scene) else {
-            return Err(SimulatorError::Imported(dataset.name().to_owned()).into());
-        };
-        let is_sensed = |modality: &&Modality| {
-            dataset.layout().stored_vectors().any(|definition| definition.name == **modality)
-        };
-        if let Some(&modality) = outputs.iter().find(|modality| !is_sensed(modality)) {
-            return Err(SimulatorError::Output { modality }.into());
-        }
-        let samples = &**self.samples();
-        let test = &self.windows().test;
-        let of_episodes: Vec<&[Sample]> =
-            test.chunk_by(|a, b| samples.place(*a).0 == samples.place(*b).0).collect();
-        progress.begin("simulating", of_episodes.len() as u64, "episodes");
-        let simulated = of_episodes.par_iter().map(|windows| {
-            if progress.cancelled() {
-                return Err(ExperimentError::Cancelled);
-            }
-            let episodes = simulate_from(scene, dataset, samples, windows, &horizons)?;
-            progress.advance(1);
-            Ok(episodes)
-        });
-        let simulated: Vec<Vec<Episode>> = simulated.collect::<Result<_, ExperimentError>>()?;
-        progress.end();
-        let mut values = BTreeMap::<(Modality, usize), Vec<f32>>::new();
-        for episodes in &simulated {
-            for (episode, &horizon) in episodes.iter().zip(&horizons) {
-                for &modality in outputs {
-                    values.entry((modality, horizon)).or_default().extend(episode.vector(modality));
-                }
-            }
-        }
-        Ok(Predictions::Windows(values))
+/// Simulates the outputs of `spec` at each horizon, from the state at each of the present samples `windows`, rounded to
+/// f32. Returns `[windows, width]` in physical units. Episodes are simulated in parallel.
+///
+/// # Errors
+/// When the dataset is not simulated, an output is not sensed, or the simulation differs from the dataset.
+pub(super) fn simulated(
+    source: &Source,
+    spec: &RunSpec,
+    samples: &Samples,
+    windows: &[Sample],
+    progress: &dyn Progress,
+) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
+    let Source { dataset, scene } = source;
+    let (AnyDataset::Simulated(dataset), Some(scene)) = (dataset, scene) else {
+        return Err(SimulatorError::Imported(dataset.name().to_owned()).into());
+    };
+    let is_sensed = |modality: &&Modality| {
+        dataset.layout().stored_vectors().any(|definition| definition.name == **modality)
+    };
+    if let Some(&modality) = spec.output.iter().find(|modality| !is_sensed(modality)) {
+        return Err(SimulatorError::Output { modality }.into());
     }
+    let horizons = spec.window.horizons();
+    let of_episodes: Vec<&[Sample]> =
+        windows.chunk_by(|a, b| samples.place(*a).0 == samples.place(*b).0).collect();
+    progress.begin("simulating", of_episodes.len() as u64, "episodes");
+    let simulated = of_episodes.par_iter().map(|windows| {
+        if progress.cancelled() {
+            return Err(ExperimentError::Cancelled);
+        }
+        let episodes = simulate_from(scene, dataset, samples, windows, &horizons)?;
+        progress.advance(1);
+        Ok(episodes)
+    });
+    let simulated: Vec<Vec<Episode>> = simulated.collect::<Result<_, ExperimentError>>()?;
+    progress.end();
+    let mut values = BTreeMap::<(Modality, usize), Vec<f32>>::new();
+    for episodes in &simulated {
+        for (episode, &horizon) in episodes.iter().zip(&horizons) {
+            for &modality in &spec.output {
+                values.entry((modality, horizon)).or_default().extend(episode.vector(modality));
+            }
+        }
+    }
+    Ok(values)
 }
 
 /// Simulates on from the samples `at`, which are in one episode. Returns what is simulated at each horizon.
@@ -92,15 +93,14 @@ fn simulate_from(
 ) -> Result<Vec<Episode>, ExperimentError> {
     let (place, _) = samples.place(at[0]);
     let within: Vec<usize> = at.iter().map(|sample| samples.place(*sample).1).collect();
-    let mut episodes = simulate_on(scene, dataset.spec(), place as u32, &within, horizons)?;
-    let repeated = episodes.remove(0);
+    let SimulatedOn { present, ahead } = simulate_on(scene, dataset.spec(), place as u32, &within, horizons)?;
     let is_same = |modality: Modality| {
         let stored = at.iter().flat_map(|sample| samples.vector(modality, *sample));
-        repeated.vector(modality).iter().eq(stored)
+        present.vector(modality).iter().eq(stored)
     };
     if !dataset.layout().stored_vectors().all(|definition| is_same(definition.name)) {
         let (episode, dataset) = (place as u32, dataset.name().to_owned());
         return Err(SimulatorError::Differs { episode, dataset }.into());
     }
-    Ok(episodes)
+    Ok(ahead)
 }

@@ -40,7 +40,7 @@ pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
 pub use opengl::{prepare_rendering, renderer_name};
 pub use plan::EpisodePlan;
-pub use restart::simulate_on;
+pub use restart::{SimulatedOn, simulate_on};
 pub use scene::Scene;
 
 pub use harness_spec::{Episode, Pose};

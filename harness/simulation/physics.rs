@@ -319,7 +319,7 @@ impl<'s> Physics<'s> {
         }
     }
 
-    /// Goes on from where another simulation of the same episode is, with the state rounded to f32.
+    /// Goes on from where another simulation of the same episode is, with the state rounded to f32 and without noise.
     pub fn go_on_from(&mut self, other: &Self) {
         other.data.copy_to(&mut self.data).expect("both have the episode's model");
         let round =
@@ -327,6 +327,7 @@ impl<'s> Physics<'s> {
         round(self.data.qpos_mut());
         round(self.data.qvel_mut());
         round(self.data.act_mut());
+        self.noise = Noise::default();
         self.step = other.step;
         self.probe = other.probe;
         self.mean.clone_from(&other.mean);
