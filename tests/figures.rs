@@ -69,10 +69,27 @@ fn svg(figure: Figure) -> String {
 
 /// The texts of a figure.
 fn words(figure: Figure) -> BTreeSet<String> {
-    let svg = svg(figure);
-    let document = roxmltree::Document::parse(&svg).unwrap();
+    words_of(&svg(figure))
+}
+
+/// The texts of an SVG file.
+fn words_of(svg: &str) -> BTreeSet<String> {
+    let document = roxmltree::Document::parse(svg).unwrap();
     let labeled = document.descendants().filter(|node| node.has_tag_name("g"));
     labeled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()
+}
+
+#[test]
+fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let out = fresh("figures_baseline");
+    let more = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
+    succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
+    let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
+    // The networks are in the empty scenario, and the simulator is in both.
+    assert!(words.contains("angles, memory=none, model=simulator"), "{words:?}");
+    assert!(words.contains("persistence") && words.contains("training mean"), "{words:?}");
+    assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
 }
 
 #[test]
