@@ -403,7 +403,14 @@ fn published_runs_are_neither_compacted_nor_remembered() {
     let folders: Vec<PathBuf> =
         records.iter().map(|record| results.join("runs/many").join(&record.run)).collect();
     let chosen = folders.iter().map(PathBuf::as_path).zip(&records);
-    harness::transfer::publish(&registry, chosen, &Registry::new(&copy), false, &Silent).unwrap();
+    harness::transfer::publish(
+        &registry,
+        chosen,
+        &Registry::new(&copy),
+        harness::transfer::Content::default(),
+        &Silent,
+    )
+    .unwrap();
     std::thread::sleep(SETTLED);
     assert!(means(&copy).unwrap().equals_missing(&means(&results).unwrap()));
     assert_eq!(intact(&copy, "many"), [true; 70]);

@@ -171,6 +171,23 @@ fn publishing_again_changes_nothing() {
 }
 
 #[test]
+fn a_table_can_be_left_out() {
+    let copy = fresh("published-without");
+    let without = ["--without", "forces", "--without", "predictions", "--output", copy.to_str().unwrap()];
+    succeed(&RESULTS, &[&["publish", "smoke"][..], &without].concat());
+    for table in ["forces", "predictions", "all_predictions"] {
+        assert_eq!(csv(&copy, &format!("select count(*) as n from {table}")), "n\n0\n");
+    }
+    assert_ne!(csv(&copy, "select count(*) as n from frames"), "n\n0\n");
+    let metrics =
+        "select * from metrics where experiment = 'smoke' order by run, task, model, modality, metric, index";
+    assert_eq!(csv(&copy, metrics), csv(&RESULTS, metrics));
+    succeed(&copy, &["verify"]);
+    let answer = finish(&mut harness(&RESULTS, &["publish", "smoke", "--without", "metrics"]));
+    assert!(answer.code == 2 && answer.stderr.contains("[possible values: predictions, frames, forces]"));
+}
+
+#[test]
 fn a_copy_that_another_process_works_on_is_not_written() {
     let copy = fresh("published-locked");
     publish(&copy);
@@ -200,7 +217,7 @@ fn republishing_keeps_chosen_runs_and_the_copy_of_a_damaged_one() {
         records.iter().map(|record| results.join("runs/smoke").join(&record.run)).collect();
     let publish = || {
         let chosen = folders.iter().map(PathBuf::as_path).zip(&records);
-        transfer::publish(&registry, chosen, &Registry::new(&copy), false, &Silent)
+        transfer::publish(&registry, chosen, &Registry::new(&copy), transfer::Content::default(), &Silent)
             .map(|published| published.runs)
     };
     assert_eq!(publish().unwrap(), 2);

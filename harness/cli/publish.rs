@@ -4,10 +4,12 @@ use super::DONE;
 use super::progress::Bars;
 use anyhow::Result;
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
 use harness::numbers::{self, counted};
 use harness::registry::Registry;
-use harness::transfer::{self, Published};
+use harness::tables::schema::Table;
+use harness::transfer::{self, Content, Published};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -22,9 +24,19 @@ pub struct Publish {
     /// Copy the trained networks, too, so that `load_model` and `export` work with the copies
     #[arg(long)]
     networks: bool,
+    /// Leave out a table; may be given several times
+    #[arg(long, value_name = "TABLE", value_parser = optional())]
+    without: Vec<Table>,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+}
+
+/// Parses the name of a table that can be left out.
+fn optional() -> impl TypedValueParser<Value = Table> {
+    let named = |name: String| Content::OPTIONAL.into_iter().find(|table| table.name() == name);
+    PossibleValuesParser::new(Content::OPTIONAL.map(Table::name))
+        .map(move |name| named(name).expect("only names of these tables are parsed"))
 }
 
 impl Publish {
@@ -40,8 +52,8 @@ impl Publish {
             chosen.extend(analysis.runs(experiment).iter().map(|run| (run.folder(), &run.record)));
         }
         let to = Registry::new(&self.output);
-        let Published { runs, bytes } =
-            transfer::publish(registry, chosen, &to, self.networks, &Bars::default())?;
+        let content = Content { networks: self.networks, without: &self.without };
+        let Published { runs, bytes } = transfer::publish(registry, chosen, &to, content, &Bars::default())?;
         for left_out in to.left_out() {
             eprintln!("warning: {left_out}");
         }

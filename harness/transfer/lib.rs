@@ -6,7 +6,7 @@ mod publish;
 mod removal;
 
 pub use pack::{PackError, Packed, Unpacked, pack, unpack};
-pub use publish::{PublishError, Published, publish};
+pub use publish::{Content, PublishError, Published, publish};
 pub use removal::{Garbage, Removable, Usage, garbage, remove, usage};
 
 use harness_shared::files::FolderLock;

@@ -35,8 +35,26 @@ pub struct Published {
     pub bytes: u64,
 }
 
-/// Copies `chosen` runs of a registry to the registry `to`: records, specs and tables, and their networks if
-/// `networks` is true. Tables about single samples are copied without most of their rows.
+/// What of each run is copied, besides its record, spec, epochs and metrics.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Content<'a> {
+    /// Whether networks are copied.
+    pub networks: bool,
+    /// Which tables of [`Content::OPTIONAL`] are not copied.
+    pub without: &'a [Table],
+}
+
+impl Content<'_> {
+    /// The tables that can be left out.
+    pub const OPTIONAL: [Table; 3] = [Table::Predictions, Table::Frames, Table::Forces];
+
+    fn has(&self, table: Table) -> bool {
+        !self.without.contains(&table.usual().unwrap_or(table))
+    }
+}
+
+/// Copies `chosen` runs of a registry to the registry `to`: records, specs, tables and what `content` adds or leaves
+/// out. Tables about single samples are copied without most of their rows.
 ///
 /// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
 /// joints and links and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
@@ -50,7 +68,7 @@ pub fn publish<'a>(
     registry: &Registry,
     chosen: impl IntoIterator<Item = (&'a Path, &'a RunRecord)>,
     to: &Registry,
-    networks: bool,
+    content: Content,
     progress: &dyn Progress,
 ) -> Result<Published, PublishError> {
     if registry.contains(to.root()) {
@@ -73,12 +91,12 @@ pub fn publish<'a>(
     progress.begin("publishing", chosen.len() as u64, "runs");
     for (folder, record) in chosen {
         // All files are read before the first one is written, because one of them may be damaged.
-        let is_whole = |name: &&String| *name == SPEC || networks && is_network(name);
+        let is_whole = |name: &&String| *name == SPEC || content.networks && is_network(name);
         let whole = record.files.keys().filter(is_whole);
         let whole: Vec<_> = whole
             .map(|name| Ok((name.clone(), record.read_file(folder, name)?)))
             .collect::<Result<_, RegistryError>>()?;
-        let tables = shown.tables(folder, record)?;
+        let tables = shown.tables(folder, record, content)?;
         let copy = to.folder_of(record);
         let Some(claimed) = to.claim(&copy)? else { return Err(Busy::at(copy.path()).into()) };
         let record = claimed.copy(record, whole, tables)?;
@@ -122,8 +140,13 @@ impl Shown {
     }
 
     /// The rows of each of a run's tables that are kept. Compares each file with the record.
-    fn tables(&self, folder: &Path, record: &RunRecord) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
-        let kept = record.tables().map(|table| {
+    fn tables(
+        &self,
+        folder: &Path,
+        record: &RunRecord,
+        content: Content,
+    ) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
+        let kept = record.tables().filter(|table| content.has(*table)).map(|table| {
             let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
             Ok((table, self.keep(table, record, rows).map_err(TableError::from)?))
         });
