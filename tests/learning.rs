@@ -637,11 +637,16 @@ fn reference_the_deep_network_agrees_with_its_pytorch_twin() {
 
 /// Episodes of random walks, because these tests need no simulation.
 fn walks(episodes: u32, samples: usize) -> Samples {
+    walks_of(&vec![samples; episodes as usize])
+}
+
+/// The same with episodes of these numbers of samples.
+fn walks_of(lengths: &[usize]) -> Samples {
     let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
-    let room = episodes as usize * samples;
+    let room = lengths.iter().sum();
     let mut all =
         Samples::new(recording, Layout::finger(), room, FramePlace::Memory, Path::new("nowhere")).unwrap();
-    for index in 0..episodes {
+    for (index, &samples) in (0..).zip(lengths) {
         let mut random = random(u64::from(index) + 100);
         let mut walk = |width: usize| -> Vec<f32> {
             let mut at = vec![0.0; width];

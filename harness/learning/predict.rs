@@ -48,6 +48,15 @@ impl Tracks {
         self.tracks.iter().map(|track| track.first.after(distance.min(track.samples - 1))).collect()
     }
 
+    /// Returns for each track the sample whose action leads from this distance to the next. The state of a track that
+    /// has ended is not used any more, so it gets the action of one that goes on.
+    fn acting(&self, distance: usize) -> Vec<Sample> {
+        let goes_on = |track: &&Track| distance + 1 < track.samples;
+        let other = self.tracks.iter().find(goes_on).expect("a track goes on");
+        let acting = |track: &Track| if goes_on(&track) { track } else { other }.first.after(distance);
+        self.tracks.iter().map(acting).collect()
+    }
+
     /// Returns the present samples at this distance, and their tracks.
     fn wanted(&self, distance: usize) -> impl Iterator<Item = (usize, u32)> {
         let places = self.places.iter().enumerate();
@@ -90,7 +99,7 @@ fn present(
             order.extend(indices);
         }
         if distance + 1 < longest {
-            state = Some(network.act(&seen, &data.actions(&now)?)?);
+            state = Some(network.act(&seen, &data.actions(&tracks.acting(distance))?)?);
         }
     }
     let mut rows = vec![0; order.len()];

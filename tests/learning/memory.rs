@@ -487,6 +487,22 @@ fn assert_states(memory: Memory) {
     }
 }
 
+/// A state that has ended is not rolled on past the last sample of the dataset.
+#[test]
+fn the_last_episode_may_be_shorter() {
+    for (memory, start) in
+        MEMORIES.into_iter().flat_map(|memory| [(memory, WindowStart::Rest), (memory, WindowStart::Random)])
+    {
+        let (mut bench, architecture) = bench(memory);
+        bench.data.samples = Arc::new(walks_of(&[16, 16, 5]));
+        let (network, _) = built(&architecture);
+        let window = Window { context: 12, start, ..Window::TRANSITION };
+        let latents = Latents::of(&*network, &bench.data, &ANGLES, &window).unwrap();
+        let expected = stepped(&bench, &*network, 32, 36).latent;
+        assert!(close(&latents.rows(&[Sample::at(36)]).unwrap(), &expected), "{memory} {start}");
+    }
+}
+
 /// Trains a network with or without memory, and returns its R2 of the arm at 1 and at 3 samples ahead, and that of
 /// persistence.
 fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
