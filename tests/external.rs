@@ -265,7 +265,7 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
         ("\0\u{1}\u{2}".into(), "can't be read"),
         ("just a text".into(), "it has a column 'just a text'"),
         (rows[0].join(","), "there are no predictions"),
-        (text(&rows[..2]), "is missing"),
+        (text(&rows[..2]), "there are no predictions of proprioception, 2 samples ahead"),
         (text(&rows[..rows.len() - 1]), "is missing"),
         (text(&[&rows[..], &rows[1..2]].concat()), "it occurs twice"),
         (text(&[&rows[..], &rows[1..]].concat()), "it occurs twice"),
@@ -273,17 +273,17 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
         (cell(0, "99"), "no test window predicts it"),
         (cell(0, "-1"), "has -1 in row 2, must be at least 0"),
         (cell(0, ""), "has no number in row 2"),
-        (cell(0, "three"), "must be integers"),
-        (cell(0, "1.5"), "must be integers"),
+        (cell(0, "three"), "has 'three' in row 2, must be an integer"),
+        (cell(0, "1.5"), "has '1.5' in row 2, must be an integer"),
         (cell(0, "99999999999999999999"), "can't be read"),
         (cell(1, "0"), "no test window predicts it"),
         (cell(1, "30"), "no test window predicts it"),
         (cell(1, "9223372036854775807"), "no test window predicts it"),
         (cell(1, "-9223372036854775808"), "must be at least 0"),
-        (cell(2, "0"), "0 samples ahead, is missing"),
+        (cell(2, "0"), "0 samples ahead; the task asks for"),
         (cell(2, "3"), "no test window predicts it"),
         (cell(2, "9223372036854775807"), "no test window predicts it"),
-        (cell(3, "vision"), "is missing"),
+        (cell(3, "vision"), "nothing asks for predictions of vision"),
         (cell(3, "touch"), "the dataset has no such modality"),
         (cell(3, "Contact Force"), "is not the name of a modality"),
         (cell(3, ""), "is not the name of a modality"),
@@ -294,8 +294,9 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
         (cell(5, "-inf"), "the value is not finite"),
         (cell(5, "1e39"), "the value is not finite"),
         (cell(5, ""), "has no number in row 2"),
-        (cell(5, "a lot"), "must be numbers"),
-        (cell(5, "true"), "must be numbers"),
+        (cell(5, "nan"), "the value is not finite"),
+        (cell(5, "a lot"), "has 'a lot' in row 2, must be a number"),
+        (cell(5, "true"), "must be a number"),
         (header(0, "trial"), "it has a column 'trial'"),
         (header(5, "predicted"), "it has a column 'predicted'"),
         (header(0, "sample"), "can't be read"),
@@ -306,11 +307,8 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
         (without(4), "it has no column 'index'"),
         (without(5), "it has no column 'value'"),
         (kept(&|row| row[2] != "5"), "there are no predictions of proprioception, 5 samples ahead"),
-        (
-            kept(&|row| row[3] != "contact_force"),
-            "there are no predictions of contact_force, 1 samples ahead",
-        ),
-        (kept(&|row| row[4] != "7"), "element 7 of proprioception, 1 samples ahead, is missing"),
+        (kept(&|row| row[3] != "contact_force"), "there are no predictions of contact_force, 1 sample ahead"),
+        (kept(&|row| row[4] != "7"), "element 7 of proprioception, 1 sample ahead, is missing"),
         (kept(&|row| row[1] != "12"), "is missing"),
         (given(&|_| "proprioception"), "all predictions are of a model that got only some inputs"),
         (given(&|place| if place == 1 { "arm" } else { "" }), "'given' has arm, which is no input"),
@@ -339,6 +337,12 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
     refused(&judge(&file, &["--cell", "full", "--model", "my_gru"]), "it has empty, cluttered");
     refused(&judge(&file, &["--cell", "empty", "--model", "my gru"]), "can't name a model");
     refused(&judge(&file, &["--cell", "empty", "--model", "../gru"]), "can't name a model");
+    refused(&judge(&file, &["--cell", "empty", "--model", "ridge"]), "'ridge' is a model of the harness");
+    let unasked = ["--cell", "empty", "--model", "gru", "window.horizon=1"];
+    refused(&judge(&file, &unasked), "nothing asks for predictions of");
+    let text = file.with_extension("txt");
+    std::fs::copy(&file, &text).unwrap();
+    refused(&judge(&text, &options), "the name of a CSV file must end in .csv");
     refused(&judge(&file, &["--cell", "empty", "--model", "gru", "--note", "=1"]), "has no name");
     refused(
         &judge(&file, &["--cell", "empty", "--model", "gru", "--task", "0123456789abcdef"]),
@@ -349,7 +353,10 @@ fn hostile_predictions_are_refused_and_leave_nothing() {
         "too large",
     );
     refused(&judge(&file, &["--cell", "empty", "--model", "gru", "split.test=0.5"]), "is missing");
-    refused(&judge(&file, &["--cell", "empty", "--model", "gru", "window.horizon=6"]), "samples ahead");
+    refused(
+        &judge(&file, &["--cell", "empty", "--model", "gru", "window.horizon=6"]),
+        "no test window predicts it",
+    );
     refused(&judge(&file, &["--cell", "cluttered", "--model", "gru", "simulation.seed=1"]), "simulates them");
     assert_eq!(contents(&results), before);
 }

@@ -4,7 +4,7 @@ use super::evaluate::{self, References};
 use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
-use harness_judge::{Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
+use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
@@ -35,6 +35,9 @@ pub enum SubmissionError {
         "'{0}' can't name a model; use 1 to 64 ASCII letters, digits, '_', '-' and '.', a letter or digit first"
     )]
     Name(String),
+    /// A model or a baseline of the harness has the name.
+    #[error("'{0}' is a model of the harness; give yours another name")]
+    Taken(String),
     /// The seed is too large.
     #[error("the seed {0} is too large; use 0 to {MAX_SEED}")]
     Seed(u64),
@@ -220,15 +223,17 @@ impl OpenTask {
         progress: &dyn Progress,
     ) -> Result<Vec<Recorded<'_>>, ExperimentError> {
         let (samples, windows, spec) = (&**self.samples(), &self.open.partition.test, &self.task.spec);
+        let horizons = spec.window.horizons();
+        let asked = Asked { outputs: &spec.output, horizons: &horizons };
         let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
         let model = models::NETWORK;
         let recorded = match predictions {
             Predictions::Windows(values) => {
-                vec![Recorded::of_windows(model, samples, windows, values).map_err(wrong)?]
+                vec![Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong)?]
             }
             Predictions::Simulated => {
                 let values = simulated(&self.task.source, spec, samples, windows, progress)?;
-                vec![Recorded::of_windows(model, samples, windows, values).map_err(wrong)?]
+                vec![Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong)?]
             }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
@@ -237,7 +242,7 @@ impl OpenTask {
                 rows.keys().flatten().try_for_each(|given| self.check_given(given))?;
                 let of = |(given, rows): (Option<Vec<Modality>>, Vec<PredictedRow>)| {
                     let values = rows.into_iter().map(|row| value(samples.layout(), row));
-                    let recorded = Recorded::new(model, samples, windows, values).map_err(wrong)?;
+                    let recorded = Recorded::new(model, samples, windows, asked, values).map_err(wrong)?;
                     Ok(recorded.with_given(given))
                 };
                 rows.into_iter().map(of).collect::<Result<Vec<_>, SubmissionError>>()?
@@ -246,8 +251,6 @@ impl OpenTask {
         if recorded.is_empty() {
             return Err(wrong(RecordedError::Empty).into());
         }
-        let horizons = spec.window.horizons();
-        recorded.iter().try_for_each(|recorded| recorded.check(&spec.output, &horizons)).map_err(wrong)?;
         Ok(recorded)
     }
 
@@ -315,6 +318,9 @@ impl External {
         let begins = model.starts_with(|c: char| c.is_ascii_alphanumeric());
         if model.len() > 64 || !begins || !model.chars().all(is_allowed) {
             return Err(SubmissionError::Name(model.escape_debug().take(80).collect()));
+        }
+        if models::ALL.contains(&model.as_str()) {
+            return Err(SubmissionError::Taken(model.clone()));
         }
         if *seed > MAX_SEED {
             return Err(SubmissionError::Seed(*seed));

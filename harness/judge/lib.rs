@@ -10,7 +10,7 @@ mod training_mean;
 
 pub use frames::{SampledWindow, picture, sample_windows};
 pub use persistence::Persistence;
-pub use recorded::{Recorded, RecordedError, RecordedValue};
+pub use recorded::{Asked, Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
 pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
 pub use training_mean::TrainingMean;

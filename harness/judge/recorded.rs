@@ -2,6 +2,7 @@
 
 use super::{JudgeError, Predicted, Predictor, Receive};
 use harness_samples::{Sample, Samples};
+use harness_shared::numbers::counted;
 use harness_spec::Modality;
 use std::collections::BTreeMap;
 
@@ -27,8 +28,8 @@ pub struct RecordedValue {
 pub enum RecordedError {
     /// A value belongs to nothing that is judged.
     #[error(
-        "episode {}, sample {}: {problem} ({}, element {}, {} samples ahead)",
-        at.episode, at.sample, at.modality, at.index, at.horizon
+        "episode {}, sample {}: {problem} ({}, element {}, {} ahead)",
+        at.episode, at.sample, at.modality, at.index, counted(at.horizon, "sample")
     )]
     Value {
         /// The value.
@@ -38,7 +39,8 @@ pub enum RecordedError {
     },
     /// A value is missing.
     #[error(
-        "episode {episode}, sample {sample}: element {index} of {modality}, {horizon} samples ahead, is missing"
+        "episode {episode}, sample {sample}: element {index} of {modality}, {} ahead, is missing",
+        counted(*horizon, "sample")
     )]
     Missing {
         /// The predicted modality.
@@ -53,7 +55,7 @@ pub enum RecordedError {
         index: usize,
     },
     /// The values of a modality at a horizon are missing, or nothing asks for them.
-    #[error("{problem} {modality}, {horizon} samples ahead; the task asks for {asked}")]
+    #[error("{problem} {modality}, {} ahead; the task asks for {asked}", counted(*horizon, "sample"))]
     Asked {
         /// What is wrong.
         problem: &'static str,
@@ -65,7 +67,10 @@ pub enum RecordedError {
         asked: String,
     },
     /// The array of a modality has the wrong number of values.
-    #[error("{modality} has {found} values, {horizon} samples ahead, instead of {windows} times {width}")]
+    #[error(
+        "{modality} has {found} values, {} ahead, instead of {windows} times {width}",
+        counted(*horizon, "sample")
+    )]
     Length {
         /// The modality.
         modality: Modality,
@@ -83,6 +88,46 @@ pub enum RecordedError {
     Empty,
 }
 
+/// What a test asks for: these modalities, each at these horizons.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked<'a> {
+    /// The modalities.
+    pub outputs: &'a [Modality],
+    /// The horizons in samples.
+    pub horizons: &'a [usize],
+}
+
+impl Asked<'_> {
+    /// Checks that there are values of all these modalities at all these horizons, and no others.
+    fn check(&self, values: &Values) -> Result<(), RecordedError> {
+        if values.is_empty() {
+            return Err(RecordedError::Empty);
+        }
+        let wrong = |problem, &(modality, horizon): &(Modality, usize)| {
+            let names: Vec<&str> = self.outputs.iter().map(|modality| modality.name()).collect();
+            let numbers: Vec<String> = self.horizons.iter().map(usize::to_string).collect();
+            let each = if names.len() > 1 { "each " } else { "" };
+            let samples = if *self.horizons == [1] { "sample" } else { "samples" };
+            let asked = format!("{}, {each}{} {samples} ahead", names.join(" and "), numbers.join(", "));
+            Err(RecordedError::Asked { problem, modality, horizon, asked })
+        };
+        let asked = self
+            .outputs
+            .iter()
+            .flat_map(|&output| self.horizons.iter().map(move |&horizon| (output, horizon)));
+        if let Some(other) = values.keys().find(|key| !asked.clone().any(|asked| asked == **key)) {
+            return wrong("nothing asks for predictions of", other);
+        }
+        match asked.clone().find(|key| !values.contains_key(key)) {
+            Some(missing) => wrong("there are no predictions of", &missing),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The values of each modality at each horizon, `[windows, width]`.
+type Values = BTreeMap<(Modality, usize), Vec<f32>>;
+
 /// Recorded predictions of all windows of a test.
 pub struct Recorded<'a> {
     model: String,
@@ -90,23 +135,24 @@ pub struct Recorded<'a> {
     given: Option<Vec<Modality>>,
     /// The windows, in ascending order.
     windows: &'a [Sample],
-    /// The values of each modality at each horizon, `[windows, width]`.
-    values: BTreeMap<(Modality, usize), Vec<f32>>,
+    values: Values,
 }
 
 impl<'a> Recorded<'a> {
-    /// Sorts the values of a model by window. Each modality and horizon that occurs must have a value for each element
-    /// of each window. `windows` are the present samples of the test's windows, in ascending order.
+    /// Sorts the values of a model by window. Each modality at each horizon that the test asks for must have a value
+    /// for each element of each window, and there must be no others. `windows` are the present samples of the test's
+    /// windows, in ascending order.
     ///
     /// # Errors
-    /// When a value is of no window of the test, is not finite, occurs twice, or is missing.
+    /// When a value is of no window of the test, is not asked for, is not finite, occurs twice, or is missing.
     pub fn new(
         model: &str,
         samples: &Samples,
         windows: &'a [Sample],
+        asked: Asked,
         recorded: impl IntoIterator<Item = RecordedValue>,
     ) -> Result<Self, RecordedError> {
-        let mut values: BTreeMap<(Modality, usize), Vec<f32>> = BTreeMap::new();
+        let mut values = Values::new();
         for at in recorded {
             let wrong = |problem: &str| RecordedError::Value { at, problem: problem.to_owned() };
             let definition = samples.layout().get(at.modality);
@@ -127,6 +173,7 @@ impl<'a> Recorded<'a> {
             }
             *value = at.value;
         }
+        asked.check(&values)?;
         for (&(modality, horizon), values) in &values {
             if let Some(place) = values.iter().position(|value| value.is_nan()) {
                 let width = samples.layout()[modality].width();
@@ -140,9 +187,6 @@ impl<'a> Recorded<'a> {
                 });
             }
         }
-        if values.is_empty() {
-            return Err(RecordedError::Empty);
-        }
         Ok(Self { model: model.to_owned(), given: None, windows, values })
     }
 
@@ -150,25 +194,22 @@ impl<'a> Recorded<'a> {
     /// images channel by channel.
     ///
     /// # Errors
-    /// When the dataset lacks a modality, a number of values is wrong, a value is not finite, or there are none.
+    /// When the test asks for others, a number of values is wrong, or a value is not finite.
     pub fn of_windows(
         model: &str,
         samples: &Samples,
         windows: &'a [Sample],
-        values: BTreeMap<(Modality, usize), Vec<f32>>,
+        asked: Asked,
+        values: Values,
     ) -> Result<Self, RecordedError> {
+        asked.check(&values)?;
         for (&(modality, horizon), values) in &values {
             let at = |place: usize, width: usize| {
                 let (episode, sample) = samples.place(windows[place / width].after(horizon));
                 let (index, value) = (place % width, values[place]);
                 RecordedValue { modality, episode, sample, horizon, index, value }
             };
-            let Some(definition) = samples.layout().get(modality) else {
-                let asked = "modalities of the dataset".to_owned();
-                let problem = "the dataset has no modality";
-                return Err(RecordedError::Asked { problem, modality, horizon, asked });
-            };
-            let (windows, width, found) = (windows.len(), definition.width(), values.len());
+            let (windows, width, found) = (windows.len(), samples.layout()[modality].width(), values.len());
             if found != windows * width {
                 return Err(RecordedError::Length { modality, horizon, found, windows, width });
             }
@@ -176,9 +217,6 @@ impl<'a> Recorded<'a> {
                 let problem = "the value is not finite".to_owned();
                 return Err(RecordedError::Value { at: at(place, width), problem });
             }
-        }
-        if values.is_empty() {
-            return Err(RecordedError::Empty);
         }
         Ok(Self { model: model.to_owned(), given: None, windows, values })
     }
@@ -188,29 +226,8 @@ impl<'a> Recorded<'a> {
         Self { given, ..self }
     }
 
-    /// Checks that there are predictions of all these modalities at all these horizons, and no others.
-    ///
-    /// # Errors
-    /// When one is missing, or there are others.
-    pub fn check(&self, output: &[Modality], horizons: &[usize]) -> Result<(), RecordedError> {
-        let wrong = |problem, &(modality, horizon): &(Modality, usize)| {
-            let names: Vec<&str> = output.iter().map(|modality| modality.name()).collect();
-            let numbers: Vec<String> = horizons.iter().map(usize::to_string).collect();
-            let asked = format!("{}, each {} samples ahead", names.join(" and "), numbers.join(", "));
-            Err(RecordedError::Asked { problem, modality, horizon, asked })
-        };
-        let asked = output.iter().flat_map(|&output| horizons.iter().map(move |&horizon| (output, horizon)));
-        if let Some(missing) = asked.clone().find(|key| !self.values.contains_key(key)) {
-            return wrong("there are no predictions of", &missing);
-        }
-        match self.values.keys().find(|key| !asked.clone().any(|asked| asked == **key)) {
-            Some(other) => wrong("nothing asks for predictions of", other),
-            None => Ok(()),
-        }
-    }
-
     /// Returns the values by modality and horizon, `[windows, width]`.
-    pub fn values(&self) -> &BTreeMap<(Modality, usize), Vec<f32>> {
+    pub fn values(&self) -> &Values {
         &self.values
     }
 }

@@ -75,7 +75,11 @@ fn read(path: &Path) -> PolarsResult<DataFrame> {
             .with_infer_schema_length(None)
             .into_reader_with_file_handle(file)
             .finish(),
-        false => ParquetReader::new(file).finish(),
+        false => ParquetReader::new(file).finish().map_err(|error| {
+            let is_parquet = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("parquet"));
+            let hint = || "it is no Parquet file; the name of a CSV file must end in .csv".into();
+            if is_parquet { error } else { PolarsError::ComputeError(hint()) }
+        }),
     }
 }
 
@@ -121,11 +125,26 @@ fn column<'a>(table: &'a DataFrame, name: &str) -> Result<&'a Series, String> {
     Ok(column.as_materialized_series())
 }
 
+/// Refuses a column with a value that is no number of the right kind.
+fn check_texts(column: &Series, kind: &str, is_right: impl Fn(&str) -> bool) -> Result<(), String> {
+    let text = |row: usize| column.get(row).map(|value| value.str_value().into_owned()).unwrap_or_default();
+    match (0..column.len()).find(|row| !is_right(text(*row).trim())) {
+        Some(row) => Err(format!(
+            "the column '{}' has '{}' in row {}, must be {kind}",
+            column.name(),
+            text(row),
+            row + 1
+        )),
+        None => Ok(()),
+    }
+}
+
 /// Returns a column of whole numbers that are not negative.
 fn numbers(table: &DataFrame, name: &str) -> Result<Vec<usize>, String> {
     let column = column(table, name)?;
     if !column.dtype().is_integer() {
-        return Err(format!("the column '{name}' has the type {}, must be integers", column.dtype()));
+        let is_whole = |text: &str| text.parse::<f64>().is_ok_and(|number| number.fract() == 0.0);
+        check_texts(column, "an integer", is_whole)?;
     }
     let cast = column.cast(&DataType::Int64).map_err(|error| error.to_string())?;
     let number = |(row, number): (usize, Option<i64>)| {
@@ -139,8 +158,14 @@ fn numbers(table: &DataFrame, name: &str) -> Result<Vec<usize>, String> {
 /// Returns the predicted values. Those that are not finite stay as they are, because the judge names their place.
 fn values(table: &DataFrame) -> Result<Vec<f32>, String> {
     let column = column(table, "value")?;
+    // Polars reads a column with `nan` as text. NumPy writes NaN like this.
+    if let Ok(texts) = column.str()
+        && let Some(numbers) = texts.iter().map(|text| text?.trim().parse().ok()).collect()
+    {
+        return Ok(numbers);
+    }
     if !column.dtype().is_primitive_numeric() {
-        return Err(format!("the column 'value' has the type {}, must be numbers", column.dtype()));
+        check_texts(column, "a number", |text| text.parse::<f32>().is_ok())?;
     }
     let cast = column.cast(&DataType::Float32).map_err(|error| error.to_string())?;
     let value = |(row, value): (usize, Option<f32>)| {

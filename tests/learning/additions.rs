@@ -7,7 +7,7 @@ mod toy_network;
 
 use super::*;
 use harness_judge::{
-    Judged, Persistence, PredictionRow, Predictor, Recorded, RecordedError, RecordedValue, Test, judge,
+    Asked, Judged, Persistence, PredictionRow, Predictor, Recorded, RecordedError, RecordedValue, Test, judge,
 };
 use harness_learning::network::{Cvae, Network as Predicting};
 use harness_learning::predict::{Latents, TrainedNetwork};
@@ -208,11 +208,13 @@ fn added_predictions_of_another_program_are_judged() {
     });
     let window = Window::TRANSITION;
     let (samples, windows) = (&*bench.data.samples, &bench.partition.test);
-    let recorded = Recorded::new("constant", samples, windows, values).unwrap();
+    let asked = Asked { outputs: &[Modality::ARM], horizons: &[1] };
+    let recorded = Recorded::new("constant", samples, windows, asked, values).unwrap();
     let found = judged(&bench, &recorded, &window);
     // All values in the file are 0.
     let zeros = BTreeMap::from([((Modality::ARM, 1), vec![0.0; windows.len() * ARM_JOINTS])]);
-    let zero = judged(&bench, &Recorded::of_windows("zero", samples, windows, zeros).unwrap(), &window);
+    let zeros = Recorded::of_windows("zero", samples, windows, asked, zeros).unwrap();
+    let zero = judged(&bench, &zeros, &window);
     let numbers = |judged: &Judged| judged.metrics.iter().map(|row| row.row.clone()).collect::<Vec<_>>();
     assert_eq!(numbers(&found), numbers(&zero));
     assert!(found.metrics.iter().all(|row| row.model == "constant"));
@@ -241,7 +243,8 @@ fn recorded_predictions_get_the_metrics_of_their_network() {
     let mut values: Vec<RecordedValue> = expected.predictions.iter().map(value).collect();
     values.reverse();
     let (samples, windows) = (&*bench.data.samples, &bench.partition.test);
-    let recorded = Recorded::new("mine", samples, windows, values.iter().copied()).unwrap();
+    let asked = Asked { outputs: output, horizons: &[1] };
+    let recorded = Recorded::new("mine", samples, windows, asked, values.iter().copied()).unwrap();
     let found = judged(&bench, &recorded, window);
     assert!(found.metrics.iter().all(|row| row.model == "mine"));
     let numbers = |judged: &Judged| judged.metrics.iter().map(|row| row.row.clone()).collect::<Vec<_>>();
@@ -250,7 +253,7 @@ fn recorded_predictions_get_the_metrics_of_their_network() {
     let refused = |change: &dyn Fn(&mut Vec<RecordedValue>)| {
         let mut values = values.clone();
         change(&mut values);
-        Recorded::new("mine", samples, windows, values).map(|_| ()).unwrap_err().to_string()
+        Recorded::new("mine", samples, windows, asked, values).map(|_| ()).unwrap_err().to_string()
     };
     let first = values[0];
     assert!(refused(&|values| values.truncate(values.len() - 1)).ends_with("is missing"));
@@ -259,7 +262,12 @@ fn recorded_predictions_get_the_metrics_of_their_network() {
     assert!(refused(&|values| values[0].index = 20).contains("no such element"));
     assert!(refused(&|values| values[0].episode = 0).contains("no test window predicts it"));
     assert!(refused(&|values| values[0].sample = 100).contains("no test window predicts it"));
-    assert_eq!(Recorded::new("mine", samples, windows, []).map(|_| ()), Err(RecordedError::Empty));
+    // The sample 2 ahead of the last one would be in another episode.
+    let further = |values: &mut Vec<RecordedValue>| {
+        values.iter_mut().filter(|value| value.sample > 2).for_each(|value| value.horizon = 2)
+    };
+    assert!(refused(&further).contains("nothing asks for predictions of"));
+    assert_eq!(Recorded::new("mine", samples, windows, asked, []).map(|_| ()), Err(RecordedError::Empty));
 }
 
 /// The files of Rust below a folder that contain a word.
