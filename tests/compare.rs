@@ -2,6 +2,7 @@
 
 use crate::common::{SMOKE, ask, finish, fresh, harness, succeed};
 use crate::terminal::{plain, raw, too_wide};
+use harness::numbers::by_value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -661,4 +662,11 @@ fn a_comparison_of_nothing_is_refused() {
         assert_eq!((answer.code, answer.stdout.as_str()), (2, ""), "{arguments:?}");
         assert!(answer.stderr.starts_with(expected), "{}", answer.stderr);
     }
+}
+
+#[test]
+fn numbers_are_sorted_before_texts() {
+    let mut values = ["1a", "9", "b", "10", "-2", "1e-3", "12x", "0.5", "a", "none"];
+    values.sort_by(|a, b| by_value(a, b));
+    assert_eq!(values, ["-2", "1e-3", "0.5", "9", "10", "12x", "1a", "a", "b", "none"]);
 }

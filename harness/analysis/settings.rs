@@ -1,6 +1,7 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
 use harness_registry::{Recorded, RunRecord, leaves, quoted};
+use harness_shared::numbers::by_value;
 use harness_spec::{Layout, RunSpec, setting_value};
 use rayon::prelude::*;
 use serde_json::Value;
@@ -200,13 +201,10 @@ pub(super) fn concerns(run: &Settings, key: &str) -> bool {
     }
 }
 
-/// Sorts numbers by value, and other texts alphabetically.
+/// Sorts numbers by value, and after them other texts alphabetically.
 fn sorted(values: BTreeSet<&str>) -> Vec<String> {
     let mut values: Vec<String> = values.into_iter().map(str::to_owned).collect();
-    values.sort_by(|a, b| match (a.parse::<f64>(), b.parse::<f64>()) {
-        (Ok(a), Ok(b)) => a.total_cmp(&b),
-        _ => a.cmp(b),
-    });
+    values.sort_by(|a, b| by_value(a, b));
     values
 }
 

@@ -1,4 +1,6 @@
-//! Formats numbers for people.
+//! Formats and sorts numbers for people.
+
+use std::cmp::Ordering;
 
 /// Formats a number with four significant digits.
 pub fn rounded(value: f64) -> String {
@@ -11,6 +13,16 @@ pub fn rounded(value: f64) -> String {
     }
     let decimals = (3 - magnitude).clamp(0, 8) as usize;
     format!("{value:.decimals$}")
+}
+
+/// Compares numbers by value, and other texts alphabetically. Numbers come first.
+pub fn by_value(a: &str, b: &str) -> Ordering {
+    match (a.parse::<f64>(), b.parse::<f64>()) {
+        (Ok(a), Ok(b)) => a.total_cmp(&b),
+        (Ok(_), Err(_)) => Ordering::Less,
+        (Err(_), Ok(_)) => Ordering::Greater,
+        (Err(_), Err(_)) => a.cmp(b),
+    }
 }
 
 /// A text that is sorted with its numbers by value: `hidden=8` comes before `hidden=16`, and `rate=1e-5` before
