@@ -907,6 +907,63 @@ fn runs_that_stand_for_a_role_have_the_settings_of_its_reading() {
     assert_eq!(compared, 12);
 }
 
+/// The runs that stand for a role can be those of an experiment without roles, and of any of its variants.
+#[test]
+fn any_runs_can_stand_for_a_role() {
+    const SPEC: &str = "scenarios: [empty]\ninput: [proprioception]\noutput: [contact_force]\nlatent: [2]\n\
+                        seeds: [0]\ntasks: [prediction]\nnetwork: {preset: single_to_multi, hidden: [4]}\n\
+                        simulation: {episodes: 4, actuations_per_episode: 3}\n\
+                        training: {epochs: 1, batch_size: 16}\n";
+    const VARY: &str = "vary: {training.kl_weight: [0.001, 0.01]}\n";
+    const CLAIMS: &str = "
+- id: forces
+  statement: There are forces.
+  measured: mean force
+  experiments: [single_to_multi]
+  query: |
+    select episode, avg(mean) as value from forces
+    where experiment = 'single_to_multi' and modality = 'contact_force' and episode is not null group by episode
+  condition: above -1
+- id: errors
+  statement: There are errors.
+  measured: error
+  experiments: [single_to_multi]
+  query: |
+    select seed, avg(value) as value from metrics where experiment = 'single_to_multi' and metric = 'rmse'
+    and model = 'network' and index is null and direction is null group by seed
+  condition: above -1
+";
+    let folder = tempfile::tempdir().unwrap();
+    let (results, at) = (folder.path().join("results"), |name: &str| folder.path().join(name));
+    let write = |name: &str, text: String| std::fs::write(at(name), text).unwrap();
+    write("plain.yaml", format!("name: plain\n{SPEC}{VARY}"));
+    write("roles.yaml", format!("name: roles\n{SPEC}{VARY}roles: {{one: {{}}, other: {{latent: [3]}}}}\n"));
+    write("claims.yaml", CLAIMS.to_owned());
+    for name in ["plain.yaml", "roles.yaml"] {
+        succeed(&results, &["run", at(name).to_str().unwrap()]);
+    }
+    for (experiment, variant) in [
+        ("plain", "kl_weight=0.001"),
+        ("plain", "kl_weight=0.01"),
+        ("roles", "role=one,kl_weight=0.001"),
+        ("roles", "role=one,kl_weight=0.01"),
+    ] {
+        let reading = format!(
+            "roles: {{single_to_multi: {{}}, multi_to_multi: {{latent: [3]}}}}\nreadings:\n- name: other\n  \
+             choice: what\n  base: this\n  instead: that\n  paper: nothing\n  settings: {{network.hidden: [5]}}\n  \
+             runs: {{single_to_multi: {{experiment: {experiment}, variant: '{variant}'}}}}\n"
+        );
+        write("stands.yaml", format!("name: stands\n{SPEC}{reading}"));
+        let file = at("claims.yaml");
+        let spec = at("stands.yaml");
+        let files = ["--file", file.to_str().unwrap(), "--readings", spec.to_str().unwrap()];
+        let said = succeed(&results, &[&["claims", "--format", "csv"][..], &files].concat());
+        let judged: Vec<&str> = said.lines().filter(|line| line.starts_with("other,")).collect();
+        let is_measured = |line: &&str| !line.contains("no data");
+        assert!(judged.len() == 2 && judged.iter().all(is_measured), "{experiment} {variant}: {said}");
+    }
+}
+
 /// The report has the same matrix, the same choices, and the figure.
 fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
     let out = results.join("report.html");

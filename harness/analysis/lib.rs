@@ -194,7 +194,7 @@ pub struct Analysis {
     /// Messages about the runs that were left out.
     notes: Vec<String>,
     /// The rows that the expected queries see, by table and experiment.
-    tables: Mutex<BTreeMap<(Table, String), Seen>>,
+    tables: Mutex<BTreeMap<(Table, String, bool), Seen>>,
     expected: Expected,
     /// The queries that were parsed so far, by their text.
     parsed: Mutex<BTreeMap<String, Arc<Query>>>,
@@ -361,7 +361,7 @@ impl Analysis {
     }
 
     /// Why no run of an experiment counts.
-    fn nothing_of(&self, experiment: &str) -> AnalysisError {
+    pub fn nothing_of(&self, experiment: &str) -> AnalysisError {
         let records = self.registry.records();
         let is_own = |record: &&RunRecord| record.status == Status::Done && record.experiment == experiment;
         let own: Vec<Settings> = records.iter().filter(is_own).map(settings::of).collect();
@@ -515,7 +515,7 @@ impl Analysis {
     /// see all rows that `query` sees.
     fn table(&self, table: Table, experiment: &str, query: &Query) -> PolarsResult<Option<LazyFrame>> {
         if self.expected.sees(query, table) {
-            let seen = self.seen(table, experiment)?.only(conditions(query, table));
+            let seen = self.seen(table, experiment, experiment)?.only(conditions(query, table));
             if seen.schema.is_empty() {
                 return Ok(None);
             }
@@ -546,18 +546,20 @@ impl Analysis {
         Ok(RunTable::new(&self.registry, table, experiment, runs.into_iter())?)
     }
 
-    /// The rows that the expected queries see of a table of an experiment's runs.
-    fn seen(&self, table: Table, experiment: &str) -> PolarsResult<Seen> {
+    /// The rows that the expected queries see of a table of an experiment's runs. The queries name the experiment
+    /// `name`.
+    fn seen(&self, table: Table, experiment: &str, name: &str) -> PolarsResult<Seen> {
         let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (table, experiment.to_owned());
+        let is_renamed = name != experiment;
+        let key = (table, experiment.to_owned(), is_renamed);
         if let Some(seen) = tables.get(&key) {
             return Ok(seen.clone());
         }
         let rows = self.run_table(table, experiment)?;
         let schema = rows.schema()?;
         let mut conditions = self.expected.rows.get(&table).cloned().unwrap_or_default();
-        // Queries refer to a run with a role by the name of the experiment that it stands for.
-        if self.runs(experiment).iter().any(|run| run.record.spec.role().is_some()) {
+        // The rows have the experiment's own name.
+        if is_renamed {
             let without_name = |mut condition: Condition| {
                 condition.remove("experiment");
                 condition

@@ -3,12 +3,13 @@
 use super::seen::Seen;
 use super::{Analysis, Run};
 use harness_catalog::QueryError;
-use harness_registry::RunRecord;
+use harness_registry::{RunRecord, forces_of};
 use harness_sql::Query;
 use harness_tables::schema::Table;
 use harness_tables::{asked_columns, asked_rows, lazily};
 use polars::prelude::*;
 use std::any::Any;
+use std::collections::BTreeSet;
 
 /// The column with the name of a run's experiment.
 const EXPERIMENT: &str = "experiment";
@@ -63,17 +64,28 @@ impl Subset<'_> {
         let mut parts = Vec::new();
         for (name, runs) in &self.runs {
             for runs in runs.chunk_by(|a, b| a.record.experiment == b.record.experiment) {
-                let seen = self.analysis.seen(of, &runs[0].record.experiment)?;
+                let experiment = &runs[0].record.experiment;
+                let seen = self.analysis.seen(of, experiment, name)?;
                 if seen.schema.is_empty() {
                     continue;
                 }
                 seen.read(query, &["run"])?;
                 let schema = seen.schema.clone();
-                let runs = runs.iter().map(|run| run.record.run.clone()).collect();
+                let runs = match of {
+                    Table::Forces => self.runs_with_forces(experiment, runs),
+                    _ => runs.iter().map(|run| run.record.run.clone()).collect(),
+                };
                 parts.push(lazily(RunRows { seen, runs, name: name.clone() }, schema)?);
             }
         }
         Ok(parts)
+    }
+
+    /// The runs that have the same forces as one of `runs`. The forces of a dataset are kept of one of its runs.
+    fn runs_with_forces(&self, experiment: &str, runs: &[&Run]) -> Vec<String> {
+        let wanted: BTreeSet<_> = runs.iter().map(|run| forces_of(&run.record)).collect();
+        let all = self.analysis.runs(experiment).iter().map(|run| &run.record);
+        all.filter(|run| wanted.contains(&forces_of(run))).map(|run| run.run.clone()).collect()
     }
 }
 
