@@ -906,6 +906,18 @@ fn an_imported_dataset_is_named_where_a_scenario_is() {
 }
 
 #[test]
+fn splits_of_imported_datasets_do_not_depend_on_the_simulation() {
+    let spec = |scenario: &str| {
+        let text = BASE.replace("[empty, cluttered]", scenario);
+        format!(
+            "{text}simulation: {{actuations_per_episode: 7}}\nsplit: {{by: time}}\nwindow: {{context: 60}}\n"
+        )
+    };
+    load(&spec("[lab_finger-0123456789abcdef]"));
+    assert!(refusal(spec("[empty]")).contains("leave nothing of an episode of"));
+}
+
+#[test]
 fn what_no_imported_dataset_can_be_called_is_no_scenario() {
     let too_long = format!("{}-0123456789abcdef", "a".repeat(65));
     for name in [

@@ -536,6 +536,14 @@ fn memory(experiment: &Experiment) -> Result<(), Fault> {
             ),
         );
     }
+    if has_memory && window.context == 1 && window.start == WindowStart::Rest {
+        return fault(
+            "window.context",
+            "with window.start: rest, a network with memory is trained on sequences of several samples; use for \
+             example 50, or window.start: random"
+                .to_owned(),
+        );
+    }
     if has_memory && training.burn_in >= window.context {
         let (burn_in, context) = (training.burn_in, window.context);
         return fault(
@@ -564,7 +572,7 @@ fn memory(experiment: &Experiment) -> Result<(), Fault> {
 }
 
 fn split(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { split, simulation, window, .. } = experiment;
+    let Experiment { split, simulation, window, scenarios, .. } = experiment;
     let (by, validation, test) = (split.by, split.validation, split.test);
     if split.gap_seconds.is_some() && by != Division::Time {
         return fault(
@@ -572,7 +580,12 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
             format!("a split by {by} has no gap; leave it out, or use split.by: time"),
         );
     }
+    // The episodes of an imported dataset are not those of `simulation`. They are checked when it is opened.
+    if !scenarios.iter().any(|origin| experiment.world(origin).is_some()) {
+        return Ok(());
+    }
     let (episodes, samples) = (simulation.episodes as usize, simulation.samples_per_episode());
+    let windows = episodes * (samples + 1).saturating_sub(window.samples());
     match by {
         Division::Episode if episodes < 3 => fault(
             "simulation.episodes",
@@ -599,12 +612,11 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                 ),
             )
         }
-        Division::Sample if split.counts(episodes * (samples + 1 - window.samples())).is_none() => fault(
+        Division::Sample if split.counts(windows).is_none() => fault(
             "split",
             format!(
-                "validation {validation} and test {test} of {} windows leave none for training; use smaller shares or \
-                 more samples",
-                episodes * (samples + 1 - window.samples())
+                "validation {validation} and test {test} of {windows} windows leave none for training; use smaller \
+                 shares or more samples"
             ),
         ),
         _ => Ok(()),
