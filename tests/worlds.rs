@@ -1336,6 +1336,29 @@ fn world_check_refuses_bodies_that_would_start_inside_others() {
 }
 
 #[test]
+fn a_swept_sector_ends_at_the_axis_of_the_arm() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_sector"));
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    for (name, from, to) in [
+        (
+            "cluttered.xml",
+            "ctrlrange=\"0 1.5\" joint=\"arm_extension\"",
+            "ctrlrange=\"-1.5 0\" joint=\"arm_extension\"",
+        ),
+        ("cluttered.yaml", "range: [0, 1.5], start: low", "range: [-1.5, 0], start: high"),
+    ] {
+        let text = fs::read_to_string(models.join(name)).unwrap();
+        assert!(text.contains(from), "{name}");
+        fs::write(folder.path().join(name.replace("cluttered.yaml", "back.yaml")), text.replace(from, to))
+            .unwrap();
+    }
+    let path = folder.path().join("back.yaml");
+    let answer = finish(&mut harness(&results, &["world", "check", path.to_str().unwrap()]));
+    let said = "[-1.5, 0] must be at least -";
+    assert!(answer.code == 2 && answer.stderr.contains(said), "{}", answer.stderr);
+}
+
+#[test]
 fn factors_cannot_share_a_column_with_factors_or_modalities() {
     let each = "mass: {body_mass: ['slider', 'box'], scale_by: {choice: 2}, each: true}";
     let slider = "mass_slider: {geom_friction: slider, scale_by: {choice: 2}}";

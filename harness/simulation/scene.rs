@@ -4,8 +4,8 @@ use super::course::Course;
 use super::load::{compile_error, load_file, load_text};
 use super::plugins::load_plugins;
 use super::resolve::{
-    ContactKinds, Driven, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded, SceneFactor,
-    SceneFlow, SceneSight, Tip, Touch, within,
+    Area, ContactKinds, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
+    SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
 };
 use super::standing::GroundModel;
 use super::timing::Timing;
@@ -208,7 +208,8 @@ impl Scene {
     /// # Errors
     /// For the reasons of [`Scene::check`].
     pub(super) fn timing(&self, spec: &Simulation) -> Result<Timing, SimulationError> {
-        for ([low, high], driven) in self.ranges(spec).into_iter().zip(&self.actuators) {
+        let ranges = self.ranges(spec);
+        for (&[low, high], driven) in ranges.iter().zip(&self.actuators) {
             if !within([low, high], driven.limits) {
                 let [min, max] = driven.limits;
                 let name = &self.name;
@@ -217,7 +218,28 @@ impl Scene {
                 return Err(SimulationError::Spec { field: driven.setting.clone(), problem });
             }
         }
+        self.check_sectors(&ranges)?;
         Timing::new(spec, self.step_s())
+    }
+
+    /// Refuses ranges with which the arm could pull a body that sweeps a sector past the arm's axis.
+    fn check_sectors(&self, ranges: &[[f64; 2]]) -> Result<(), SimulationError> {
+        for placement in &self.placements {
+            let Area::Sector(Mount { elements: [_, extension], radius, .. }) = &placement.area else {
+                continue;
+            };
+            let [low, high] = ranges[*extension];
+            if radius + low < 0.0 {
+                let problem = format!(
+                    "[{low}, {high}] must be at least {:.3}, so that the swept sector of placement '{}' ends at the \
+                     arm's axis",
+                    -radius, placement.name
+                );
+                let field = self.actuators[*extension].setting.clone();
+                return Err(SimulationError::Spec { field, problem });
+            }
+        }
+        Ok(())
     }
 
     /// Returns the range of each element of the setpoint.
