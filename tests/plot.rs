@@ -129,7 +129,7 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
     };
     let ambiguous = refused(&["--facet", "scenario"]);
     let expected =
-        "error: the means differ in modality: contact_force, proprioception; distinguish them with 'by' or ";
+        "error: the means differ in modality: contact_force; proprioception; distinguish them with --by or ";
     assert!(ambiguous.starts_with(expected), "{ambiguous}");
     let unknown = refused(&["--by", "varient"]);
     assert!(unknown.contains("variant") && unknown.contains("modality"), "{unknown}");

@@ -625,7 +625,12 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.is::<inspect::NotStarted>()
         || matches!(
             error.downcast_ref(),
-            Some(FigureError::Ambiguous { .. } | FigureError::NoMeans { .. } | FigureError::TooMany { .. })
+            Some(
+                FigureError::Analysis(_)
+                    | FigureError::Ambiguous { .. }
+                    | FigureError::NoMeans { .. }
+                    | FigureError::TooMany { .. }
+            )
         )
         || error.is::<import::ImportError>()
         || error.is::<render::RenderError>()

@@ -3,7 +3,8 @@
 use super::DONE;
 use super::table::shown;
 use anyhow::Result;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
+use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, Command};
 use harness::analysis::{Analysis, Key, Setting};
 use harness::figures::{Format, Plot as Drawn};
@@ -71,7 +72,15 @@ impl TypedValueParser for KeyParser {
     fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Key, clap::Error> {
         let key = value.to_str().and_then(|text| text.parse::<Key>().ok());
         let named = PossibleValuesParser::new(self.named()).try_map(|name| name.parse());
-        key.filter(|key| key.setting().is_some()).map_or_else(|| named.parse_ref(command, arg, value), Ok)
+        if let Some(key) = key.filter(|key| key.setting().is_some()) {
+            return Ok(key);
+        }
+        named.parse_ref(command, arg, value).map_err(|mut error| {
+            let settings = "settings of a spec are possible too, such as input or network.hidden";
+            let hint = StyledStr::from(settings);
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![hint]));
+            error
+        })
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {

@@ -30,7 +30,7 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::{Analysis, Key, Labels, Mixed, usual_key};
+use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, usual_key};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
@@ -81,9 +81,9 @@ pub enum FigureError {
     },
     /// The means of a plot differ in a key that the plot does not show.
     #[error(
-        "the means differ in {key}: {}; distinguish them with 'by' or 'facet', or choose some of them with 'modality', \
-         'where' or the names of experiments",
-        values.join(", ")
+        "the means differ in {key}: {}; distinguish them with --by or --facet, or choose some of them with --modality, \
+         --where or the names of experiments",
+        values.join("; ")
     )]
     Ambiguous {
         /// The name of the key.
@@ -103,7 +103,7 @@ pub enum FigureError {
     /// A plot would have too many series or panels to be read.
     #[error(
         "a plot has at most 12 series and 8 panels, and this one would have {series} and {panels}; choose some of the \
-         means with 'modality', 'where' or the names of experiments"
+         means with --modality, --where or the names of experiments"
     )]
     TooMany {
         /// The number of series.
@@ -133,6 +133,9 @@ pub enum FigureError {
     /// The runs differ in their settings and can't be shown in one figure.
     #[error(transparent)]
     Mixed(#[from] Mixed),
+    /// The runs can't be selected.
+    #[error(transparent)]
+    Analysis(#[from] AnalysisError),
     /// A query can't be answered, or the numbers can't be saved.
     #[error(transparent)]
     Query(#[from] QueryError),

@@ -1,7 +1,7 @@
 //! The runs of the paper's experiments and their tables, from which figures are drawn.
 
 use super::FigureError;
-use harness_analysis::{Analysis, Labels, Run};
+use harness_analysis::{Analysis, AnalysisError, Labels, Run};
 use harness_spec::{Experiment, Layout, Modality, Origin, QUICK};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -234,6 +234,9 @@ impl<'a> Source<'a> {
 }
 
 pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
+    if let chosen @ AnalysisError::NothingChosen { .. } = analysis.nothing_of(experiment) {
+        return chosen.into();
+    }
     FigureError::NoRuns {
         experiment: experiment.to_owned(),
         root: analysis.root().to_owned(),
