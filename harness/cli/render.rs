@@ -66,6 +66,9 @@ pub enum RenderError {
     /// The output file's name has none of the supported endings.
     #[error("can't write a picture to '{}': its name must end in .png or .gif", .0.display())]
     Format(PathBuf),
+    /// A run is no world, and its predictions need a horizon.
+    #[error("'{0}' is a run; add --horizon 1 to show what it predicts, or name a world")]
+    Run(String),
     /// The episode is too short.
     #[error("the episode has {}, so there is no sample {sample}", counted(*samples, "sample"))]
     Sample {
@@ -99,7 +102,7 @@ impl Render {
         };
         match self.horizon {
             Some(horizon) => self.predictions(registry, horizon as usize, output)?,
-            None => self.scene(output)?,
+            None => self.scene(registry, output)?,
         }
         println!("{}", shown(&self.output));
         Ok(ExitCode::from(DONE))
@@ -122,8 +125,11 @@ impl Render {
     }
 
     /// Draws a scene or an episode.
-    fn scene(&self, output: Output) -> Result<()> {
-        let world = World::find(&self.world)?;
+    fn scene(&self, registry: &Registry, output: Output) -> Result<()> {
+        let world = World::find(&self.world).map_err(|error| match registry.find(&self.world) {
+            Ok(_) => RenderError::Run(self.world.clone()).into(),
+            Err(_) => anyhow::Error::from(error),
+        })?;
         let simulation = match &self.spec {
             Some(path) => world.complete(&spec::load(path, &[], false)?.simulation),
             None => world.simulation(),
