@@ -371,6 +371,11 @@ fn print_counts(judgments: &[&Judgment]) {
         ));
     }
     print_unmet(judgments);
+    print_mixed(judgments);
+}
+
+/// Prints the settings in which runs differ, and which runs to choose.
+fn print_mixed(judgments: &[&Judgment]) {
     let mixed: BTreeSet<String> =
         judgments.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect();
     mixed.iter().for_each(|text| print_text(text));
@@ -404,8 +409,11 @@ fn print_plan(plan: &Plan, judgments: &[Judgment]) {
             print_text(&format!("{why}: {}", named(claims)));
         }
     }
+    print_mixed(&judgments.iter().collect::<Vec<_>>());
     if plan.steps.is_empty() && plan.out_of_reach.is_empty() && plan.by_episode.is_empty() {
-        let has_data = judgments.iter().any(|judgment| judgment.verdict() != Verdict::NoData);
+        let is_measured =
+            |judgment: &Judgment| !matches!(judgment.verdict(), Verdict::NoData | Verdict::Mixed);
+        let has_data = judgments.iter().any(is_measured);
         println!(
             "{}",
             if has_data { "no measured claim is undecided" } else { "there are no runs to judge by" }
