@@ -311,6 +311,9 @@ impl Known {
             (differences, &record.run)
         });
         match described.min_by_key(|(differences, _)| differences.len()) {
+            Some((differences, run)) if differences.is_empty() => {
+                format!("new; {run} has the same settings, but an earlier version of the program named it")
+            }
             Some((differences, run)) => format!("new; {run} differs in {}", differences.join(", ")),
             None => "new".into(),
         }
