@@ -146,9 +146,13 @@ impl Shown {
         record: &RunRecord,
         content: Content,
     ) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
-        let kept = record.tables().filter(|table| content.has(*table)).map(|table| {
+        let kept = record.tables().map(|table| {
             let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
-            Ok((table, self.keep(table, record, rows).map_err(TableError::from)?))
+            let kept = match content.has(table) {
+                true => self.keep(table, record, rows).map_err(TableError::from)?,
+                false => rows.clear(),
+            };
+            Ok((table, kept))
         });
         kept.collect()
     }
