@@ -146,7 +146,7 @@ fn published_runs_come_from_commits() {
         "select distinct experiment from runs where git_dirty or git_commit is null order by experiment";
     let rows = ask(&reference(), sql);
     let names: Vec<&str> = rows.iter().map(|row| row["experiment"].as_str().unwrap()).collect();
-    assert_eq!(names, ["choose_multi_losses", "multi_to_multi"]);
+    assert_eq!(names, ["multi_to_multi"]);
 }
 
 /// A validation error of 1 is that of the mean, or of no change for an image. `multi_to_multi` keeps networks that
