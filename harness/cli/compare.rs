@@ -33,7 +33,8 @@ pub struct Compare {
     #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key(&Key::OF_COLUMNS))]
     by: Vec<Key>,
     /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, relative_error_REGION for the
-    /// pixels of a region, such as finger, skill over persistence, or skill_horizon, up to which the skill is positive
+    /// pixels of a region, such as finger, r2_KIND for a kind of contact, such as ground, r2_from_Ns for the samples
+    /// after N s, skill over persistence, or skill_horizon, up to which the skill is positive
     #[arg(
         long,
         value_name = "METRIC",

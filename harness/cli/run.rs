@@ -318,7 +318,7 @@ fn print_results(
             _ => format!("in {}: ", runs[0].spec.scenario.name()),
         };
         let error = rounded(best.error);
-        lines.push(("best run".into(), format!("{scenario}{} (validation error {error})", best.run)));
+        lines.push(("best run".into(), format!("{scenario}{} (error per output {error})", best.run)));
         lines.extend(baselines(registry, experiment, &best.run)?);
     }
     Ok(lines)
