@@ -106,7 +106,7 @@ pub struct WorldFile {
     /// The keyframe of the MJCF from which episodes start: its positions, velocities and activations. The setpoints
     /// start at its controls, within their ranges.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub keyframe: Option<String>,
     /// The actuators and their random moves.
     pub action: Acting,
@@ -160,7 +160,7 @@ pub struct Sensing {
     pub site_orientations: Option<Vec<String>>,
     /// A body in whose frame the positions and orientations of bodies and sites are given. The default is the world.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub relative_to: Option<String>,
     /// `true` if the bodies or sites are a set of objects: networks treat them alike, whatever their order.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -175,14 +175,14 @@ pub struct Sensing {
     pub sensor: Option<Vec<String>>,
     /// The image of a camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub camera: Option<String>,
     /// The true optical flow of a camera, encoded as an image: the displacement of each visible point since the
     /// previous sample, in pixels. Red is 128 plus 127 / `limit_pixels` for each pixel to the right, and green the same
     /// for each pixel downwards. Blue is 255 if the point was visible in the previous image, and 0 if it was hidden or
     /// outside of the image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub optical_flow: Option<String>,
     /// The largest displacement that an optical flow can encode, pixels. The default is 8.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -192,7 +192,7 @@ pub struct Sensing {
     /// camera. Red is 0 at the lower and 255 at the upper end of `range_m`, and linear between them. Green is 255 times
     /// the lower end over the depth. Blue is 255 where something is visible.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub depth: Option<String>,
     /// The range of depths that an image encodes, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -201,7 +201,7 @@ pub struct Sensing {
     /// What a camera sees, encoded as an image in which each class of `classes` has a color. It also tells the regions
     /// of the images of the same camera and size, for their metrics.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub segmentation: Option<String>,
     /// The classes of a segmentation, by name: one to seven lists of geoms, bodies or flexes. Their colors are red,
     /// green, blue, yellow, cyan, magenta and white, in their order. All else is black.
@@ -210,7 +210,7 @@ pub struct Sensing {
     pub classes: Ordered<Vec<String>>,
     /// The change of another modality since the previous sample. It is zero at an episode's first sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub difference_of: Option<String>,
     /// Rows and columns of an image, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -219,7 +219,7 @@ pub struct Sensing {
     /// `sample` averages forces over the steps since the previous sample. The default is the force at the instant of
     /// the sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "averaged")]
+    #[schemars(with = "Interval")]
     pub average_over: Option<Interval>,
     /// Kinds of contact of a `normal_force` at the instant, by name. Each is a list of the geoms or bodies on the other
     /// side of the contact. The metrics of the force are also computed for the contacts of each kind, and for `none`,
@@ -230,7 +230,7 @@ pub struct Sensing {
     pub contact_kinds: Ordered<Vec<String>>,
     /// Unit of a sensor's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub unit: Option<String>,
     /// Groups of elements that have their own metrics, by name. Each group is a list of patterns of names in the MJCF.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
@@ -239,7 +239,7 @@ pub struct Sensing {
     /// The standard deviation by which values are divided for a network. The default is `shared` for forces and images,
     /// and `per_element` for others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "scale")]
+    #[schemars(with = "Scale")]
     pub scale: Option<Scale>,
     /// The lowest value of a prediction. The default is 0 for forces, and no bound for others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -247,7 +247,7 @@ pub struct Sensing {
     pub minimum: Option<f64>,
     /// The metric for errors in percent. The default is `wmape` for forces and `smape` for angles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "percentage")]
+    #[schemars(with = "Percentage")]
     pub percentage: Option<Percentage>,
 }
 
@@ -278,7 +278,7 @@ pub struct Acting {
     /// Path of a CSV file with a recorded course, relative to this file's folder. It has a column for each element of
     /// the action and a row for each sample, and may have a column `episode`. It replaces the motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub course: Option<String>,
     /// The elements of the action, by name.
     #[schemars(with = "BTreeMap<String, Actuator>")]
@@ -315,7 +315,7 @@ impl Motion {
 pub struct Actuator {
     /// Name of the actuator in the MJCF, if it differs from the element's name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub actuator: Option<String>,
     /// Names of several actuators in the MJCF that get the same setpoint.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -323,11 +323,11 @@ pub struct Actuator {
     pub actuators: Option<Vec<String>>,
     /// Name of a mocap body in the MJCF. Its coordinate `axis` follows the setpoint, and no actuator does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "text")]
+    #[schemars(with = "String")]
     pub mocap: Option<String>,
     /// The coordinate of the mocap body, in the world, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "axis")]
+    #[schemars(with = "Axis")]
     pub axis: Option<Axis>,
     /// Unit of the actuator's control.
     #[serde(default)]
@@ -394,7 +394,7 @@ pub struct Placing {
     pub clearance_m: f64,
     /// The area is the sector that an arm sweeps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "sector")]
+    #[schemars(with = "Sector")]
     pub sector: Option<Sector>,
     /// The area is a rectangle: lowest and highest x, lowest and highest y, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -432,15 +432,12 @@ fn second() -> f64 {
 
 /// The schemas of the values of optional keys. Without them, the schemas would also allow `null`.
 mod plain {
-    use super::{Axis, Interval, MAX_IMAGE_SIDE, Percentage, Scale, Sector, globs};
+    use super::{MAX_IMAGE_SIDE, globs};
     use schemars::{Schema, SchemaGenerator, json_schema};
 
     pub fn groups(generator: &mut SchemaGenerator) -> Schema {
         let globs = globs(generator).to_value();
         json_schema!({ "type": "object", "properties": {}, "additionalProperties": globs })
-    }
-    pub fn text(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": "string" })
     }
     pub fn limit(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number", "exclusiveMinimum": 0.0, "maximum": MAX_IMAGE_SIDE })
@@ -468,25 +465,8 @@ mod plain {
         });
         json_schema!({ "type": "array", "minItems": 2, "maxItems": 2, "items": range })
     }
-    pub fn averaged(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Interval>()
-    }
-    pub fn scale(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Scale>()
-    }
-    pub fn percentage(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Percentage>()
-    }
-    pub fn axis(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Axis>()
-    }
-    pub fn sector(generator: &mut SchemaGenerator) -> Schema {
-        generator.subschema_for::<Sector>()
-    }
 }
-use plain::{
-    averaged, axis, depths, force, groups, limit, number, percentage, rectangle, scale, sector, size, text,
-};
+use plain::{depths, force, groups, limit, number, rectangle, size};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
