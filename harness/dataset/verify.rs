@@ -3,7 +3,7 @@
 use super::DatasetError;
 use super::description::Description;
 use super::episode_file::{episode_file, open_episode};
-use harness_shared::files::UNFINISHED;
+use harness_shared::files::{UNFINISHED, sorted};
 use harness_spec::Simulation;
 use harness_tables::{TableError, TableFile};
 use rayon::prelude::*;
@@ -144,11 +144,4 @@ fn episode_index(name: &str) -> Option<u32> {
 /// Whether a file is an empty file that processes lock, so that only one of them writes to a folder.
 pub fn is_lock(name: &str) -> bool {
     name.starts_with(UNFINISHED) && name.ends_with("lock")
-}
-
-fn sorted(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-    paths.sort();
-    paths
 }

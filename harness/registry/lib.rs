@@ -46,6 +46,7 @@ pub use verify::{Finding, Report};
 
 use checks::Checks;
 use harness_shared::files::{FolderLock, WriteError, folders};
+use harness_shared::seal::hex;
 use harness_spec::{RunSpec, Task};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -248,8 +249,7 @@ fn removed(path: &Path, result: io::Result<()>) -> Result<(), WriteError> {
 
 /// The end of a run's id: the first eight digits of a hash of everything that determines the run's result.
 fn identity(spec_hash: &str, dataset: &str, revision: u32) -> String {
-    let digest = Sha256::digest(format!("{spec_hash} {dataset} {revision}"));
-    digest.iter().take(4).map(|byte| format!("{byte:02x}")).collect()
+    hex(&Sha256::digest(format!("{spec_hash} {dataset} {revision}"))[..4])
 }
 
 impl RunFolder {

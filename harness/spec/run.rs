@@ -5,6 +5,7 @@ use super::simulation::Simulation;
 use super::types::{Action, Loss, Network, Split, Task, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
+use harness_shared::seal::hex;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
@@ -395,7 +396,7 @@ impl RunSpec {
 
 /// Returns the first 16 hexadecimal digits of the SHA-256 of a text.
 fn digits(text: &str) -> String {
-    Sha256::digest(text).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    hex(&Sha256::digest(text)[..8])
 }
 
 /// Adds the values of `more` to a tree, section by section.
