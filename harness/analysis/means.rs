@@ -8,8 +8,9 @@ use harness_judge::models::NETWORK;
 use harness_metrics::Metric;
 use harness_registry::Registry;
 use harness_spec::{Modality, Origin, Task, model_parts};
+use harness_tables::column_of;
 use harness_tables::schema::{GIVEN, HORIZON, Table};
-use polars::prelude::{Column, DataFrame, PolarsResult};
+use polars::prelude::{DataFrame, PolarsResult};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The mean of a metric for the networks of a group of runs, or for a baseline. The metric is computed over all joints,
@@ -113,43 +114,29 @@ impl Mean {
     /// # Errors
     /// When Polars can't build the table, for which no reason is known.
     pub fn frame(means: &[Mean]) -> PolarsResult<DataFrame> {
-        let text = |name: &str, of: &dyn Fn(&Mean) -> String| {
-            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
-        };
-        let number = |name: &str, of: &dyn Fn(&Mean) -> Option<f64>| {
-            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
-        };
-        let count = |name: &str, of: &dyn Fn(&Mean) -> Option<i64>| {
-            Column::new(name.into(), means.iter().map(of).collect::<Vec<_>>())
-        };
         let keys: BTreeSet<&str> = means.iter().flat_map(|mean| mean.of.values.keys().copied()).collect();
-        let value = |key: &str| {
-            let values = means.iter().map(|mean| mean.of.values.get(key).cloned());
-            Column::new(key.into(), values.collect::<Vec<_>>())
-        };
+        let value = |key: &str| column_of(means, key, |mean| mean.of.values.get(key).map(String::as_str));
         let mut columns = vec![
-            text("experiment", &|mean| mean.of.experiment.clone()),
-            text("scenario", &|mean| mean.of.scenario.to_string()),
-            count("latent", &|mean| mean.of.latent.map(|latent| latent as i64)),
-            text("variant", &|mean| mean.of.variant.clone()),
-            text("settings", &|mean| mean.of.settings.clone()),
-            text("task", &|mean| mean.of.task.to_string()),
-            text("model", &|mean| mean.of.model.clone()),
-            text("modality", &|mean| mean.of.modality.to_string()),
-            Column::new(
-                "direction".into(),
-                means.iter().map(|mean| mean.of.direction.clone()).collect::<Vec<_>>(),
-            ),
-            text("metric", &|mean| mean.of.metric.clone()),
-            text("unit", &|mean| mean.unit.clone()),
-            count("datasets", &|mean| Some(mean.datasets as i64)),
-            count("seeds", &|mean| Some(mean.values.len() as i64)),
-            number("mean", &|mean| Some(mean.interval.mean)),
-            number("low", &|mean| mean.interval.bounds.map(|(low, _)| low)),
-            number("high", &|mean| mean.interval.bounds.map(|(_, high)| high)),
+            column_of(means, "experiment", |mean| mean.of.experiment.as_str()),
+            column_of(means, "scenario", |mean| mean.of.scenario.to_string()),
+            column_of(means, "latent", |mean| mean.of.latent.map(|latent| latent as i64)),
+            column_of(means, "variant", |mean| mean.of.variant.as_str()),
+            column_of(means, "settings", |mean| mean.of.settings.as_str()),
+            column_of(means, "task", |mean| mean.of.task.name()),
+            column_of(means, "model", |mean| mean.of.model.as_str()),
+            column_of(means, "modality", |mean| mean.of.modality.name()),
+            column_of(means, "direction", |mean| mean.of.direction.as_deref()),
+            column_of(means, "metric", |mean| mean.of.metric.as_str()),
+            column_of(means, "unit", |mean| mean.unit.as_str()),
+            column_of(means, "datasets", |mean| mean.datasets as i64),
+            column_of(means, "seeds", |mean| mean.values.len() as i64),
+            column_of(means, "mean", |mean| mean.interval.mean),
+            column_of(means, "low", |mean| mean.interval.bounds.map(|(low, _)| low)),
+            column_of(means, "high", |mean| mean.interval.bounds.map(|(_, high)| high)),
         ];
         let horizon = means.iter().any(|mean| mean.of.horizon.is_some());
-        let horizon = horizon.then(|| count(HORIZON, &|mean| mean.of.horizon.map(|horizon| horizon as i64)));
+        let horizon =
+            horizon.then(|| column_of(means, HORIZON, |mean| mean.of.horizon.map(|horizon| horizon as i64)));
         let before = columns.iter().position(|column| column.name() == "task").unwrap_or_default();
         columns.splice(before..before, keys.into_iter().map(value).chain(horizon));
         DataFrame::new(means.len(), columns)

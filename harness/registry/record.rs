@@ -614,10 +614,13 @@ impl Outcome {
             (Table::Frames, self.frames_columns()),
         ];
         if !further_metrics.is_empty() {
-            tables.push((Table::AllMetrics, all_metrics_columns(&further_metrics)));
+            let further = further_columns(&further_metrics, |row| row.horizon as i64, |row| row.given);
+            tables.push((Table::AllMetrics, [metrics_columns(&further_metrics), further].concat()));
         }
         if !further_predictions.is_empty() {
-            tables.push((Table::AllPredictions, all_predictions_columns(&further_predictions)));
+            let further = further_columns(&further_predictions, |row| row.horizon.into(), |row| row.given);
+            tables
+                .push((Table::AllPredictions, [predictions_columns(&further_predictions), further].concat()));
         }
         let tables = tables
             .into_iter()
@@ -674,12 +677,13 @@ fn metrics_columns(rows: &[&MetricRow]) -> Vec<Column> {
     ]
 }
 
-/// The columns of the table `all_metrics` without those of the run.
-fn all_metrics_columns(rows: &[&MetricRow]) -> Vec<Column> {
-    let mut columns = metrics_columns(rows);
-    columns.push(column_of(rows, HORIZON, |row| row.horizon as i64));
-    columns.push(column_of(rows, GIVEN, |row| row.given));
-    columns
+/// The columns that rows of further samples and of models that got only some inputs have in addition.
+fn further_columns<R>(
+    rows: &[R],
+    horizon: impl Fn(&R) -> i64,
+    given: impl Fn(&R) -> Option<&'static str>,
+) -> Vec<Column> {
+    vec![column_of(rows, HORIZON, horizon), column_of(rows, GIVEN, given)]
 }
 
 /// The columns of the table `predictions` without those of the run.
@@ -693,12 +697,4 @@ fn predictions_columns(rows: &[&PredictionRow]) -> Vec<Column> {
         column_of(rows, "reference", |row| row.reference),
         column_of(rows, "predicted", |row| row.predicted),
     ]
-}
-
-/// The columns of the table `all_predictions` without those of the run.
-fn all_predictions_columns(rows: &[&PredictionRow]) -> Vec<Column> {
-    let mut columns = predictions_columns(rows);
-    columns.push(column_of(rows, HORIZON, |row| i64::from(row.horizon)));
-    columns.push(column_of(rows, GIVEN, |row| row.given));
-    columns
 }
