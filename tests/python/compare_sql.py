@@ -32,14 +32,15 @@ def same(ours: object, theirs: object) -> bool:
 
 def order(row: tuple) -> list:
     """Where a row comes among all rows, the same for numbers that differ in their last digits only."""
-    def key(cell: object) -> tuple:
+    def key(cell: object, digits: int) -> tuple:
         if cell is None:
             return (0, "")
         if isinstance(cell, (str, bytes)):
             return (1, cell if isinstance(cell, str) else cell.hex())
-        return (2, f"{float(cell):.6e}")
+        return (2, f"{float(cell):.{digits}e}")
 
-    return [key(cell) for cell in row]
+    # The further digits sort rows that are equal in the first ones.
+    return [key(cell, digits) for digits in (6, 11) for cell in row]
 
 
 def is_ordered(sql: str) -> bool:
