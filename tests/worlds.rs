@@ -1445,7 +1445,7 @@ fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
     };
     let (code, said, _) = plot(&[]);
     assert_eq!(code, 2, "{said}");
-    assert!(said.contains("the means differ in modality: joints in m, joints in rad"), "{said}");
+    assert!(said.contains("the means differ in modality: joints in m; joints in rad"), "{said}");
     let (code, said, means) = plot(&["--facet", "modality"]);
     assert_eq!((code, means.lines().count()), (0, 3), "{said}{means}");
     let (code, said, means) = plot(&["--modality", "joints in rad"]);

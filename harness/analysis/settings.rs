@@ -280,7 +280,7 @@ impl Setting {
 
     /// The override that gives runs this setting. `None` if the key has no section, such as `variant`, because no
     /// override changes it.
-    pub(super) fn as_override(&self) -> Option<String> {
+    pub fn as_override(&self) -> Option<String> {
         self.key.contains('.').then(|| format!("{}={}", self.key, self.value))
     }
 

@@ -1,7 +1,7 @@
 //! The runs of the paper's experiments and their tables, from which figures are drawn.
 
 use super::FigureError;
-use harness_analysis::{Analysis, AnalysisError, Labels, Run};
+use harness_analysis::{Analysis, AnalysisError, Labels, Run, Setting};
 use harness_spec::{Experiment, Layout, Modality, Origin, QUICK};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -234,8 +234,11 @@ impl<'a> Source<'a> {
 }
 
 pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
-    if let chosen @ AnalysisError::NothingChosen { .. } = analysis.nothing_of(experiment) {
-        return chosen.into();
+    // A command can't make runs with a setting that no override changes.
+    let nothing = analysis.nothing_of(experiment);
+    let is_fixed = |wanted: &[Setting]| wanted.iter().any(|setting| setting.as_override().is_none());
+    if matches!(&nothing, AnalysisError::NothingChosen { wanted, .. } if is_fixed(wanted)) {
+        return nothing.into();
     }
     FigureError::NoRuns {
         experiment: experiment.to_owned(),
