@@ -53,8 +53,8 @@ impl Tracks {
     fn acting(&self, distance: usize) -> Vec<Sample> {
         let goes_on = |track: &&Track| distance + 1 < track.samples;
         let other = self.tracks.iter().find(goes_on).expect("a track goes on");
-        let acting = |track: &Track| if goes_on(&track) { track } else { other }.first.after(distance);
-        self.tracks.iter().map(acting).collect()
+        let acting = self.tracks.iter().map(|track| if goes_on(&track) { track } else { other });
+        acting.map(|track| track.first.after(distance)).collect()
     }
 
     /// Returns the present samples at this distance, and their tracks.
