@@ -227,13 +227,11 @@ impl OpenTask {
         let asked = Asked { outputs: &spec.output, horizons: &horizons };
         let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
         let model = models::NETWORK;
+        let of_windows = |values| Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong);
         let recorded = match predictions {
-            Predictions::Windows(values) => {
-                vec![Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong)?]
-            }
+            Predictions::Windows(values) => vec![of_windows(values)?],
             Predictions::Simulated => {
-                let values = simulated(&self.task.source, spec, samples, windows, progress)?;
-                vec![Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong)?]
+                vec![of_windows(simulated(&self.task.source, spec, samples, windows, progress)?)?]
             }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
