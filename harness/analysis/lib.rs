@@ -362,12 +362,13 @@ impl Analysis {
 
     /// Why no run of an experiment counts.
     pub fn nothing_of(&self, experiment: &str) -> AnalysisError {
-        let records = self.registry.records();
-        let is_own = |record: &&RunRecord| record.status == Status::Done && record.experiment == experiment;
-        let own: Vec<Settings> = records.iter().filter(is_own).map(settings::of).collect();
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(experiment));
         let wanted: Vec<Setting> = about.cloned().collect();
-        if own.is_empty() || wanted.is_empty() {
+        let is_own = |record: &&RunRecord| record.status == Status::Done && record.experiment == experiment;
+        // Records are read only if settings may be the reason.
+        let records = if wanted.is_empty() { Vec::new() } else { self.registry.records() };
+        let own: Vec<Settings> = records.iter().filter(is_own).map(settings::of).collect();
+        if own.is_empty() {
             let (wanted, there) = (experiment.to_owned(), self.all_finished());
             return AnalysisError::NothingFinished { wanted, there };
         }
