@@ -126,7 +126,7 @@ fn column<'a>(table: &'a DataFrame, name: &str) -> Result<&'a Series, String> {
 }
 
 /// Refuses a column with a value that is no number of the right kind.
-fn check_texts(column: &Series, kind: &str, is_right: impl Fn(&str) -> bool) -> Result<(), String> {
+fn check_numbers(column: &Series, kind: &str, is_right: impl Fn(&str) -> bool) -> Result<(), String> {
     let text = |row: usize| column.get(row).map(|value| value.str_value().into_owned()).unwrap_or_default();
     match (0..column.len()).find(|row| !is_right(text(*row).trim())) {
         Some(row) => Err(format!(
@@ -144,7 +144,7 @@ fn numbers(table: &DataFrame, name: &str) -> Result<Vec<usize>, String> {
     let column = column(table, name)?;
     if !column.dtype().is_integer() {
         let is_whole = |text: &str| text.parse::<f64>().is_ok_and(|number| number.fract() == 0.0);
-        check_texts(column, "an integer", is_whole)?;
+        check_numbers(column, "an integer", is_whole)?;
     }
     let cast = column.cast(&DataType::Int64).map_err(|error| error.to_string())?;
     let number = |(row, number): (usize, Option<i64>)| {
@@ -165,7 +165,7 @@ fn values(table: &DataFrame) -> Result<Vec<f32>, String> {
         return Ok(numbers);
     }
     if !column.dtype().is_primitive_numeric() {
-        check_texts(column, "a number", |text| text.parse::<f32>().is_ok())?;
+        check_numbers(column, "a number", |text| text.parse::<f32>().is_ok())?;
     }
     let cast = column.cast(&DataType::Float32).map_err(|error| error.to_string())?;
     let value = |(row, value): (usize, Option<f32>)| {
