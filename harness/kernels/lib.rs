@@ -9,6 +9,7 @@ mod amx;
 pub mod convolution;
 mod matrix;
 pub mod product;
+pub mod repeated;
 
 use pulp::{Arch, WithSimd};
 use rayon::prelude::*;

@@ -4,6 +4,7 @@ use harness_kernels::adam::sum_of_squares;
 use harness_kernels::convolution::{Convolution, Images, KernelSums, LANES};
 use harness_kernels::exp;
 use harness_kernels::product::{Accumulate, Arithmetic, Matrix, Precision, Unit, product};
+use harness_kernels::repeated::Repeated;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -129,6 +130,31 @@ fn products_are_the_same_bits_at_any_number_of_threads() {
         };
         assert_eq!(bits(1), bits(2));
         assert_eq!(bits(1), bits(5));
+    }
+}
+
+#[test]
+fn repeated_products_are_exact_and_the_same_bits_in_any_division_of_the_rows() {
+    for [rows, inner, columns] in [[1, 1, 1], [7, 3, 65], [20, 256, 768], [20, 768, 256], [31, 70, 130]] {
+        let mut random = Normals::new((rows * inner * columns) as u64);
+        let (left, matrix) = (random.draw(rows * inner), random.draw(inner * columns));
+        let arithmetic = Arithmetic { unit: Unit::Vectors, precision: Precision::F32 };
+        for matrix in [Matrix::plain(&matrix, inner, columns), Matrix::transposed(&matrix, columns, inner)] {
+            let in_parts = |part: usize, times: usize| {
+                let repeated = Repeated::new(matrix, times, arithmetic);
+                let mut out = vec![1.0; rows * columns];
+                for (left, out) in left.chunks(part * inner).zip(out.chunks_mut(part * columns)) {
+                    repeated.add_product(left, out, 1);
+                }
+                out
+            };
+            let (all, general) = (in_parts(rows, 2), in_parts(rows, 1));
+            for part in 1..rows {
+                assert!(in_parts(part, 2) == all, "{rows} x {inner} x {columns} in parts of {part}");
+            }
+            let worst = all.iter().zip(&general).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst < 1e-6 * inner as f32, "{rows} x {inner} x {columns}: {worst}");
+        }
     }
 }
 

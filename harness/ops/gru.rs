@@ -2,13 +2,16 @@
 //!
 //! A step of the unit is a small matrix product. An op for each step, and its gradient, would cost more than the
 //! products. Here the product with the inputs of all steps is computed at once, before the op, and the gradients of the
-//! weights are products over all steps at once.
+//! weights are products over all steps at once. The weight is packed once for all steps, and each thread takes its
+//! sequences through all of them, so that threads do not wait for each other at each step.
 
 use super::{Arithmetic, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use candle_nn::ops::sigmoid;
 use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::repeated::Repeated;
 use harness_kernels::{self as kernels, Buffer, exp, simd};
+use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// The weight `[3 * width, width]` and the bias `[3 * width]` of a unit's product with its last state.
@@ -79,6 +82,34 @@ struct Sizes {
     arithmetic: Arithmetic,
 }
 
+/// The division of sequences into parts. Values are `[times * batch, columns]`, the rows of one time together.
+#[derive(Clone, Copy)]
+struct Parts {
+    /// Number of sequences.
+    batch: usize,
+    /// Number of sequences in a part; the last one may have fewer.
+    rows: usize,
+}
+
+impl Parts {
+    /// Returns the values of a part at one time.
+    fn of(self, values: &[f32], columns: usize, part: usize, time: usize) -> &[f32] {
+        let first = part * self.rows;
+        let last = self.batch.min(first + self.rows);
+        &values[(time * self.batch + first) * columns..(time * self.batch + last) * columns]
+    }
+
+    /// Returns the values of each part at each time.
+    fn of_mut(self, values: &mut [f32], columns: usize) -> Vec<Vec<&mut [f32]>> {
+        let mut parts: Vec<_> = (0..self.batch.div_ceil(self.rows)).map(|_| Vec::new()).collect();
+        for time in values.chunks_exact_mut(self.batch * columns) {
+            let of_time = time.chunks_mut(self.rows * columns);
+            parts.iter_mut().zip(of_time).for_each(|(part, values)| part.push(values));
+        }
+        parts
+    }
+}
+
 /// The gates of one unit.
 struct Gates {
     reset: f32,
@@ -120,23 +151,29 @@ impl Sizes {
         self.batch * self.width
     }
 
-    /// Number of values in the gates of one time.
-    fn gates(self) -> usize {
-        3 * self.state()
-    }
-
     /// Splits the packed parameters into weight and bias.
     fn unpack(self, packed: &[f32]) -> (&[f32], &[f32]) {
         packed.split_at(3 * self.width * self.width)
     }
 
+    /// Returns how the sequences are divided into parts. Each thread takes one part through all times.
+    fn parts(self, recurrent: &Repeated) -> Parts {
+        let rows = self.batch.div_ceil(recurrent.parts(threads()).min(self.batch));
+        Parts { batch: self.batch, rows }
+    }
+
     /// Computes the states of one time from those before it. `hidden` receives the products with the last states.
-    fn step(self, input: &[f32], packed: &[f32], last: &[f32], hidden: &mut [f32], states: &mut [f32]) {
-        let (width, (weight, bias)) = (self.width, self.unpack(packed));
-        let transposed = Matrix::transposed(weight, 3 * width, width);
-        let last_states = Matrix::plain(last, self.batch, width);
-        product(last_states, transposed, hidden, Accumulate::Overwrite, self.arithmetic, threads());
-        kernels::add_bias(hidden, bias, false);
+    fn step(
+        self,
+        input: &[f32],
+        (recurrent, bias): (&Repeated, &[f32]),
+        last: &[f32],
+        hidden: &mut [f32],
+        states: &mut [f32],
+    ) {
+        let width = self.width;
+        hidden.chunks_exact_mut(3 * width).for_each(|row| row.copy_from_slice(bias));
+        recurrent.add_product(last, hidden, threads());
         let rows = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
         let rows = rows.zip(last.chunks_exact(width)).zip(states.chunks_exact_mut(width));
         simd(
@@ -158,7 +195,8 @@ impl Sizes {
     /// replaced by that of the last states.
     fn step_back(
         self,
-        [input, hidden, last, weight]: [&[f32]; 4],
+        [input, hidden, last]: [&[f32]; 3],
+        recurrent: &Repeated,
         [of_input, of_hidden]: [&mut [f32]; 2],
         grad: &mut [f32],
     ) {
@@ -175,9 +213,53 @@ impl Sizes {
                 }
             },
         );
-        let (of_hidden, weight) =
-            (Matrix::plain(of_hidden, self.batch, 3 * width), Matrix::plain(weight, 3 * width, width));
-        product(of_hidden, weight, grad, Accumulate::Add, self.arithmetic, threads());
+        recurrent.add_product(of_hidden, grad, threads());
+    }
+}
+
+impl Sizes {
+    /// Computes the states of all times, `[times * batch, width]`, and the products with the states before them.
+    fn forward(self, input: &[f32], packed: &[f32], start: &[f32], hidden: &mut [f32], states: &mut [f32]) {
+        let (width, (weight, bias)) = (self.width, self.unpack(packed));
+        let weight = Matrix::transposed(weight, 3 * width, width);
+        let recurrent = Repeated::new(weight, states.len() / self.state(), self.arithmetic);
+        let parts = self.parts(&recurrent);
+        let of_parts = parts.of_mut(hidden, 3 * width).into_par_iter().zip(parts.of_mut(states, width));
+        of_parts.enumerate().for_each(|(part, (hidden, states))| {
+            let mut last = parts.of(start, width, part, 0);
+            for (time, (hidden, states)) in hidden.into_iter().zip(states).enumerate() {
+                let input = parts.of(input, 3 * width, part, time);
+                self.step(input, (&recurrent, bias), last, hidden, states);
+                last = states;
+            }
+        });
+    }
+
+    /// Computes the gradients of the input, of the hidden products and of the first state. `grad` is the gradient of
+    /// all states.
+    fn backward(
+        self,
+        [input, hidden, last]: [&[f32]; 3],
+        packed: &[f32],
+        grad: &[f32],
+        [of_input, of_hidden]: [&mut [f32]; 2],
+        of_state: &mut [f32],
+    ) {
+        let (width, (weight, _)) = (self.width, self.unpack(packed));
+        let weight = Matrix::plain(weight, 3 * width, width);
+        let recurrent = Repeated::new(weight, grad.len() / self.state(), self.arithmetic);
+        let parts = self.parts(&recurrent);
+        let of_gates =
+            parts.of_mut(of_input, 3 * width).into_par_iter().zip(parts.of_mut(of_hidden, 3 * width));
+        let of_parts = of_gates.zip(of_state.par_chunks_mut(parts.rows * width));
+        of_parts.enumerate().for_each(|(part, ((of_input, of_hidden), of_state))| {
+            for (time, (of_input, of_hidden)) in of_input.into_iter().zip(of_hidden).enumerate().rev() {
+                let gates = |values| parts.of(values, 3 * width, part, time);
+                let given = [gates(input), gates(hidden), parts.of(last, width, part, time)];
+                kernels::add_to(of_state, parts.of(grad, width, part, time));
+                self.step_back(given, &recurrent, [of_input, of_hidden], of_state);
+            }
+        });
     }
 }
 
@@ -198,14 +280,9 @@ impl CustomOp3 for Gru {
         let (rows, _) = input_layout.shape().dims2()?;
         let (input, packed, start) =
             (slice(input, input_layout)?, slice(packed, packed_layout)?, slice(start, start_layout)?);
-        let Sizes { width, .. } = self.sizes;
+        let width = self.sizes.width;
         let (mut states, mut hidden) = (kernels::scratch(rows * width), Buffer::new(rows * 3 * width));
-        let times = input.chunks_exact(self.sizes.gates()).zip(hidden.chunks_exact_mut(self.sizes.gates()));
-        for (time, (input, hidden)) in times.enumerate() {
-            let (before, now) = states.split_at_mut(time * self.sizes.state());
-            let last = if time == 0 { start } else { &before[before.len() - self.sizes.state()..] };
-            self.sizes.step(input, packed, last, hidden, &mut now[..self.sizes.state()]);
-        }
+        self.sizes.forward(input, packed, start, &mut hidden, &mut states);
         self.hidden.get_or_init(|| hidden);
         Ok((CpuStorage::F32(states), (rows, width).into()))
     }
@@ -230,17 +307,9 @@ impl CustomOp3 for Gru {
             with_values(input, |input| {
                 with_values(packed, |packed| {
                     with_values(grad, |grad| {
-                        let (weight, _) = sizes.unpack(packed);
-                        for time in (0..rows / batch).rev() {
-                            let states = time * sizes.state()..(time + 1) * sizes.state();
-                            let gates = time * sizes.gates()..(time + 1) * sizes.gates();
-                            kernels::add_to(&mut of_state, &grad[states.clone()]);
-                            sizes.step_back(
-                                [&input[gates.clone()], &hidden[gates.clone()], &last[states], weight],
-                                [&mut of_input[gates.clone()], &mut of_hidden[gates]],
-                                &mut of_state,
-                            );
-                        }
+                        let given = [input, hidden, last];
+                        let wanted = [of_input.as_mut_slice(), &mut of_hidden];
+                        sizes.backward(given, packed, grad, wanted, &mut of_state);
                         Ok(())
                     })
                 })
