@@ -175,7 +175,7 @@ fn posterior_and_vector_loss_gradients_are_finite_differences() {
     for loss in Loss::ALL {
         let quantities = [Quantity { width: 2, loss: *loss }, Quantity { width: 3, loss: Loss::Squared }];
         let predicted = variable(&mut random, &[4, 5]);
-        assert_gradients(&[predicted], |args| vector_losses(&args[0], &target, &quantities));
+        assert_gradients(&[predicted], |args| vector_losses(&args[0], &target, &quantities, 2));
     }
 }
 
@@ -191,11 +191,12 @@ fn vector_losses_are_those_of_definitions_and_candle_operations() {
     let target = Tensor::new(&[[1.0f32, 2.0, -3.0]], &Device::Cpu).unwrap();
     for loss in Loss::ALL {
         let predicted = (errors.as_tensor() + &target).unwrap();
-        let own = vector_losses(&predicted, &target, &[Quantity { width: 3, loss: *loss }]).unwrap();
+        let own = vector_losses(&predicted, &target, &[Quantity { width: 3, loss: *loss }], 1).unwrap();
         let theirs = composed(*loss, &errors).unwrap().mean_all().unwrap();
         let gradient = |loss: &Tensor| loss.backward().unwrap().get(&errors).unwrap().clone();
         assert_close(&gradient(&own), &gradient(&theirs), 1e-6, &format!("the gradient of {loss}"));
-        let values = [own.get(0), Ok(theirs)].map(|value| scalar(&value.unwrap()).unwrap());
+        let values =
+            [own.flatten_all().unwrap().get(0), Ok(theirs)].map(|value| scalar(&value.unwrap()).unwrap());
         assert!(values.iter().all(|value| (value - expected(*loss)).abs() < 1e-6), "{loss}: {values:?}");
     }
 }
@@ -568,7 +569,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         (Modality::CONTACT_FORCE, "target.contact_force"),
         (Modality::FRAME_DIFFERENCE, "target.frame_difference"),
     ]);
-    let targets = Targets { values: &values, losses: &BTreeMap::new() };
+    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3).unwrap();
     for step in 0..3 {
         let posterior = encoder.encode(&observation).unwrap();
@@ -577,7 +578,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         let mut total = (&kl * twin.kl_weight).unwrap();
         let terms = decoder.losses(&latent, Some(twin.get("action")), targets).unwrap();
         for term in &terms {
-            total = (total + (&term.value * twin.weights[&term.modality]).unwrap()).unwrap();
+            total = (total + (term.value.get(0).unwrap() * twin.weights[&term.modality]).unwrap()).unwrap();
         }
         let gradients = total.backward().unwrap();
         if step == 0 {

@@ -79,7 +79,7 @@ class Recurrent(nn.Module):
     """The CVAE with a gated recurrent unit between the encoder and the posterior.
 
     The rows of one time lie together. The unit takes the encoded sample, a one because there is a sample, and the
-    action before it.
+    action before it. The posterior takes the unit and the encoded sample.
     """
 
     def __init__(self, sizes: Dimensions, sequences: int, recurrence: str):
@@ -88,7 +88,7 @@ class Recurrent(nn.Module):
         self.sequences = sequences
         self.encoder = LateEncoder(sizes) if sizes.fusion == "late" else EarlyEncoder(sizes)
         self.unit = nn.GRU(inputs, width) if recurrence == "module" else nn.GRUCell(inputs, width)
-        self.posterior = nn.Linear(width, 2 * sizes.latent)
+        self.posterior = nn.Linear(width + 2 * sizes.latent, 2 * sizes.latent)
         self.decoder = Decoder(sizes)
 
     def states(self, inputs: Tensor) -> Tensor:
@@ -107,7 +107,7 @@ class Recurrent(nn.Module):
         before = torch.cat([action.new_zeros(self.sequences, ACTION_SIZE), action[: -self.sequences]])
         inputs = torch.cat([encoded, encoded.new_ones(len(encoded), 1), before], dim=1)
         states = self.states(inputs.unflatten(0, (-1, self.sequences)))
-        posterior = self.posterior(states.flatten(0, 1))
+        posterior = self.posterior(torch.cat([states.flatten(0, 1), encoded], dim=1))
         mean, log_variance = posterior.chunk(2, dim=1)
         latent = mean + torch.exp(log_variance / 2) * batch["noise"]
         vector, frame = self.decoder(latent, action)

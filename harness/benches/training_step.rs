@@ -128,7 +128,7 @@ fn main() -> candle_core::Result<()> {
         vector(Modality::CONTACT_FORCE, target.narrow(1, 20, 20)?.contiguous()?),
     ];
     let values: Observation = changed.into_iter().chain(vectors).collect();
-    let targets = Targets { values: &values, losses: &Default::default() };
+    let targets = Targets { values: &values, losses: &Default::default(), parts: 1 };
     let mut seconds = Vec::with_capacity(arguments.steps);
     for _ in 0..arguments.steps + 2 {
         let begin = Instant::now();
@@ -139,7 +139,7 @@ fn main() -> candle_core::Result<()> {
             network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
         let mut loss = (divergence * 1e-3)?;
         for term in network.losses(&state, targets)? {
-            loss = (loss + term.value)?;
+            loss = (loss + term.value.get(0)?)?;
         }
         adam.step(&loss.backward()?)?;
         seconds.push(begin.elapsed().as_secs_f64());

@@ -1,7 +1,7 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::NormalizedData;
-use super::network::{Decoder, Draw, Network, Seen, State, Targets, Term, context, mean};
+use super::network::{Decoder, Draw, Network, Seen, State, Targets, Term, context};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
@@ -69,21 +69,26 @@ impl Objective for Prediction<'_> {
         let start = self.burned_in(at, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
         let Seen { mut state, divergence } = self.unroll(at.len(), start, &seen, &mut draw)?;
-        let mut losses = Vec::new();
-        for distance in 1..=window.horizon {
-            if distance == 2
-                && let Some(rows) = draw.one_of_each(training.rollout_stride, seen.len())
-            {
+        let losses = |state: &State, of: &[Sample], parts: usize| {
+            let values = data.observation(of, self.output)?;
+            network.losses(state, Targets { values: &values, losses: &training.losses, parts })
+        };
+        let next = losses(&state, &after(&seen, 1), 1)?;
+        let further = window.horizon - 1;
+        let terms = if further == 0 {
+            next
+        } else {
+            if let Some(rows) = draw.one_of_each(training.rollout_stride, seen.len()) {
                 state = state.rows(&rows)?;
                 seen = rows.iter().map(|row| seen[*row as usize]).collect();
             }
-            if distance > 1 {
-                state = network.act(&state, &data.actions(&after(&seen, distance - 1))?)?;
-            }
-            let values = data.observation(&after(&seen, distance), self.output)?;
-            losses.push(network.losses(&state, Targets { values: &values, losses: &training.losses })?);
-        }
-        let mut terms = weighted(means(losses, training.discount)?, &training.loss_weights);
+            let from = |first: usize| -> Vec<Sample> {
+                (first..first + further).flat_map(|distance| after(&seen, distance)).collect()
+            };
+            let state = network.imagine(&state, &data.actions(&from(1))?)?;
+            joined(next, losses(&state, &from(2), further)?)?
+        };
+        let mut terms = weighted(means(terms, training.discount)?, &training.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });
         Ok(terms)
     }
@@ -163,26 +168,33 @@ impl Prediction<'_> {
     }
 }
 
-/// Returns the mean loss of each modality over the distances 1, 2, …. The weight of a distance is that of the one
-/// before it, times `discount`.
-fn means(losses: Vec<Vec<Term>>, discount: f64) -> Result<Vec<Term>> {
-    let Some(first) = losses.first() else { return Ok(Vec::new()) };
-    let mean = |(index, Term { modality, .. }): (usize, &Term)| {
-        let values = losses.iter().map(|terms| terms[index].value.clone()).collect();
-        Ok(Term { modality: *modality, value: discounted(values, discount)? })
+/// Joins the losses of the next sample with those at further distances.
+fn joined(next: Vec<Term>, further: Vec<Term>) -> Result<Vec<Term>> {
+    let join = |(next, further): (Term, Term)| {
+        Ok(Term { modality: next.modality, value: Tensor::cat(&[next.value, further.value], 0)? })
     };
-    first.iter().enumerate().map(mean).collect()
+    next.into_iter().zip(further).map(join).collect()
 }
 
-fn discounted(losses: Vec<Tensor>, discount: f64) -> Result<Tensor> {
-    if discount == 1.0 || losses.len() == 1 {
-        return mean(losses);
+/// Returns the mean loss of each modality over the distances 1, 2, …, a scalar. The weight of a distance is that of the
+/// one before it, times `discount`.
+fn means(losses: Vec<Term>, discount: f64) -> Result<Vec<Term>> {
+    let mean = |Term { modality, value }| Ok(Term { modality, value: discounted(&value, discount)? });
+    losses.into_iter().map(mean).collect()
+}
+
+fn discounted(losses: &Tensor, discount: f64) -> Result<Tensor> {
+    let distances = losses.dim(0)?;
+    if distances == 1 {
+        return losses.get(0);
     }
-    let weights: Vec<f64> = (0..losses.len() as i32).map(|further| discount.powi(further)).collect();
+    if discount == 1.0 {
+        return losses.mean_all();
+    }
+    let weights: Vec<f64> = (0..distances as i32).map(|further| discount.powi(further)).collect();
     let sum: f64 = weights.iter().sum();
     let weights: Vec<f32> = weights.into_iter().map(|weight| (weight / sum) as f32).collect();
-    let losses = Tensor::stack(&losses, 0)?;
-    (&losses * Tensor::new(weights, losses.device())?)?.sum_all()
+    (losses * Tensor::new(weights, losses.device())?)?.sum_all()
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of
@@ -201,8 +213,8 @@ pub struct Reconstruction<'a> {
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
         let values = self.data.observation(at, self.input)?;
-        let targets = Targets { values: &values, losses: &BTreeMap::new() };
-        let terms = self.decoder.losses(&self.latents.rows(at)?, None, targets)?;
+        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
+        let terms = means(self.decoder.losses(&self.latents.rows(at)?, None, targets)?, 1.0)?;
         Ok(weighted(terms, &BTreeMap::new()))
     }
 

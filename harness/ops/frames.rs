@@ -119,6 +119,34 @@ impl Frames for Averaged {
     }
 }
 
+/// Consecutive frames of a batch.
+struct Part {
+    frames: Arc<dyn Frames>,
+    first: usize,
+    batch: usize,
+}
+
+/// Returns `batch` frames from the frame `first` on.
+pub fn part(frames: &Arc<dyn Frames>, first: usize, batch: usize) -> Arc<dyn Frames> {
+    let frames = frames.clone();
+    if batch == frames.batch() { frames } else { Arc::new(Part { frames, first, batch }) }
+}
+
+impl Frames for Part {
+    fn batch(&self) -> usize {
+        self.batch
+    }
+    fn channels(&self) -> usize {
+        self.frames.channels()
+    }
+    fn size(&self) -> [usize; 2] {
+        self.frames.size()
+    }
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        self.frames.write(self.first + index, frame);
+    }
+}
+
 /// Several images of the same size, stacked by channel.
 struct Stacked(Vec<Arc<dyn Frames>>);
 

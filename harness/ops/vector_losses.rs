@@ -14,21 +14,31 @@ pub struct Quantity {
     pub loss: Loss,
 }
 
-/// Returns the mean loss of each quantity over its columns and the batch, `[quantities]`. The `quantities` divide the
-/// columns of `predicted` and `target`, both `[batch, width]`, from left to right.
+/// Returns the mean loss of each quantity over its columns and the rows of each part of the batch, `[quantities,
+/// parts]`. The `quantities` divide the columns of `predicted` and `target`, both `[batch, width]`, from left to right.
+/// The `parts` divide the rows equally, from the first to the last.
 ///
 /// # Errors
 /// When the shapes do not match.
-pub fn vector_losses(predicted: &Tensor, target: &Tensor, quantities: &[Quantity]) -> Result<Tensor> {
+pub fn vector_losses(
+    predicted: &Tensor,
+    target: &Tensor,
+    quantities: &[Quantity],
+    parts: usize,
+) -> Result<Tensor> {
+    if parts == 0 || !predicted.dim(0)?.is_multiple_of(parts) {
+        candle_core::bail!("{} rows can't be divided into {parts} equal parts", predicted.dim(0)?);
+    }
     if predicted.device().is_cpu() {
-        let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec() };
+        let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec(), parts };
         return predicted.contiguous()?.apply_op1(op);
     }
     let errors = (predicted - target)?;
     let mut first = 0;
     let means = quantities.iter().map(|quantity| {
         first += quantity.width;
-        composed(quantity.loss, &errors.narrow(1, first - quantity.width, quantity.width)?)?.mean_all()
+        let errors = errors.narrow(1, first - quantity.width, quantity.width)?;
+        composed(quantity.loss, &errors)?.reshape((parts, ()))?.mean(1)
     });
     Tensor::stack(&means.collect::<Result<Vec<_>>>()?, 0)
 }
@@ -73,6 +83,8 @@ fn slope(loss: Loss, error: f32) -> f32 {
 struct VectorLosses {
     target: Tensor,
     quantities: Vec<Quantity>,
+    /// Number of parts of the batch that have losses of their own.
+    parts: usize,
 }
 
 impl VectorLosses {
@@ -89,38 +101,48 @@ impl CustomOp1 for VectorLosses {
 
     fn cpu_fwd(&self, predicted: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let (batch, width) = layout.shape().dims2()?;
-        let mut sums: Vec<(Loss, f64)> = self.columns().map(|loss| (loss, 0.0)).collect();
-        let predicted = slice(predicted, layout)?;
+        let (rows, predicted) = (batch / self.parts, slice(predicted, layout)?);
+        let mut means = vec![0.0; self.quantities.len() * self.parts];
         with_values(&self.target, |target| {
-            for (predicted, target) in predicted.chunks_exact(width).zip(target.chunks_exact(width)) {
-                for (((loss, sum), predicted), target) in sums.iter_mut().zip(predicted).zip(target) {
-                    *sum += value(*loss, f64::from(predicted - target));
+            let parts = predicted.chunks_exact(rows * width).zip(target.chunks_exact(rows * width));
+            for (part, (predicted, target)) in parts.enumerate() {
+                let mut sums: Vec<(Loss, f64)> = self.columns().map(|loss| (loss, 0.0)).collect();
+                for (predicted, target) in predicted.chunks_exact(width).zip(target.chunks_exact(width)) {
+                    for (((loss, sum), predicted), target) in sums.iter_mut().zip(predicted).zip(target) {
+                        *sum += value(*loss, f64::from(predicted - target));
+                    }
+                }
+                let mut columns = sums.iter();
+                for (index, quantity) in self.quantities.iter().enumerate() {
+                    let sum: f64 = columns.by_ref().take(quantity.width).map(|(_, sum)| sum).sum();
+                    means[index * self.parts + part] = (sum / (rows * quantity.width) as f64) as f32;
                 }
             }
             Ok(())
         })?;
-        let mut columns = sums.iter();
-        let means = self.quantities.iter().map(|quantity| {
-            let sum: f64 = columns.by_ref().take(quantity.width).map(|(_, sum)| sum).sum();
-            (sum / (batch * quantity.width) as f64) as f32
-        });
-        Ok((CpuStorage::F32(means.collect()), self.quantities.len().into()))
+        Ok((CpuStorage::F32(means), (self.quantities.len(), self.parts).into()))
     }
 
     fn bwd(&self, predicted: &Tensor, _losses: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (batch, width) = predicted.dims2()?;
-        let mut factors = Vec::with_capacity(width);
-        for (grad, quantity) in grad.to_vec1::<f32>()?.into_iter().zip(&self.quantities) {
-            let factor = grad / (batch * quantity.width) as f32;
-            factors.extend(std::iter::repeat_n((quantity.loss, factor), quantity.width));
-        }
+        let (rows, grad) = (batch / self.parts, grad.to_vec2::<f32>()?);
+        let factors_of = |part: usize| {
+            let of = |(grad, quantity): (&Vec<f32>, &Quantity)| {
+                let factor = grad[part] / (rows * quantity.width) as f32;
+                std::iter::repeat_n((quantity.loss, factor), quantity.width)
+            };
+            grad.iter().zip(&self.quantities).flat_map(of).collect::<Vec<_>>()
+        };
+        let factors: Vec<_> = (0..self.parts).map(factors_of).collect();
         let mut grads = kernels::scratch(batch * width);
         with_values(predicted, |predicted| {
             with_values(&self.target, |target| {
-                let rows = predicted.chunks_exact(width).zip(target.chunks_exact(width));
-                for (grads, (predicted, target)) in grads.chunks_exact_mut(width).zip(rows) {
+                let given = predicted.chunks_exact(width).zip(target.chunks_exact(width));
+                for (row, (grads, (predicted, target))) in
+                    grads.chunks_exact_mut(width).zip(given).enumerate()
+                {
                     for (((grad, predicted), target), (loss, factor)) in
-                        grads.iter_mut().zip(predicted).zip(target).zip(&factors)
+                        grads.iter_mut().zip(predicted).zip(target).zip(&factors[row / rows])
                     {
                         *grad = factor * slope(*loss, predicted - target);
                     }

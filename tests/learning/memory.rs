@@ -197,9 +197,9 @@ fn assert_memory_agrees_with_its_twin(memory: Memory) {
         assert_close(&vectors, twin.get(vector), TWIN_TOLERANCE, vector);
         let [angles, forces] = ["proprioception", "contact_force"].map(|name| format!("{target}.{name}"));
         let values = twin.values([(Modality::PROPRIOCEPTION, &*angles), (Modality::CONTACT_FORCE, &*forces)]);
-        let targets = Targets { values: &values, losses: &BTreeMap::new() };
+        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
         for term in network.losses(&state, targets).unwrap() {
-            terms.entry(term.modality).or_default().push(term.value);
+            terms.entry(term.modality).or_default().push(term.value.get(0).unwrap());
         }
     }
     for (modality, values) in terms {
@@ -386,8 +386,8 @@ fn losses_after(
             state = network.act(&state, &data.actions(&ahead(distance - 1)).unwrap()).unwrap();
         }
         let values = data.observation(&ahead(distance), &ARM).unwrap();
-        let targets = Targets { values: &values, losses: &BTreeMap::new() };
-        network.losses(&state, targets).unwrap().remove(0).value
+        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
+        network.losses(&state, targets).unwrap().remove(0).value.get(0).unwrap()
     });
     let losses: Vec<Tensor> = losses.collect();
     [Tensor::stack(&losses, 0).unwrap().mean_all().unwrap(), divergence]

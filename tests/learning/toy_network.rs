@@ -53,7 +53,7 @@ impl Network for Integrator {
 
     fn losses(&self, state: &State, targets: Targets) -> Result<Vec<Term>> {
         let error = (&state.latent - targets.values.vectors(&[Modality::ARM])?)?;
-        Ok(vec![Term { modality: Modality::ARM, value: error.sqr()?.mean_all()? }])
+        Ok(vec![Term { modality: Modality::ARM, value: error.sqr()?.reshape((targets.parts, ()))?.mean(1)? }])
     }
 
     fn detached(&self) -> Box<dyn Network> {

@@ -4,7 +4,7 @@ use super::description::{ACTION, LATENT, Layer};
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, Targets, Term};
 use candle_core::{Result, Tensor};
-use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, vector_losses};
+use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, frames, vector_losses};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
 
 /// Builds the decoder that an architecture describes.
@@ -131,16 +131,23 @@ impl Decoder for PerceptronDecoder {
                 |(modality, width): &(Modality, usize)| Quantity { width: *width, loss: loss(modality) };
             let quantities: Vec<Quantity> = self.vectors_of.iter().map(quantity).collect();
             let vectors: Vec<Modality> = self.vectors_of.iter().map(|(modality, _)| *modality).collect();
-            let losses = vector_losses(&predicted, &targets.values.vectors(&vectors)?, &quantities)?;
+            let target = targets.values.vectors(&vectors)?;
+            let losses = vector_losses(&predicted, &target, &quantities, targets.parts)?;
             for (index, modality) in vectors.into_iter().enumerate() {
                 terms.push(Term { modality, value: losses.get(index)? });
             }
         }
         if let Some(output) = &self.frames {
             for (index, &modality) in self.images_of.iter().enumerate() {
-                let decoder = output.decoder(index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
                 let target = targets.values.frames(&[modality])?;
-                terms.push(Term { modality, value: frame_loss(&hidden.frames, decoder, target)? });
+                let rows = hidden.frames.dim(0)? / targets.parts;
+                let of_part = |part: usize| {
+                    let decoder = output.decoder(index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
+                    let hidden = hidden.frames.narrow(0, part * rows, rows)?;
+                    frame_loss(&hidden, decoder, frames::part(&target, part * rows, rows))
+                };
+                let losses = (0..targets.parts).map(of_part).collect::<Result<Vec<_>>>()?;
+                terms.push(Term { modality, value: Tensor::stack(&losses, 0)? });
             }
         }
         Ok(terms)

@@ -2,7 +2,7 @@
 
 use super::description::{Layer, MEMORY, Operation, POSTERIOR};
 use super::layers::{Builder, Dense};
-use super::unit::{Inputs, Steps, Unit, memory_of};
+use super::unit::{Inputs, JOINED, Steps, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{Result, Tensor};
 use harness_ops::{self as ops, Arithmetic, Recurrence};
@@ -70,11 +70,12 @@ impl Cell {
     }
 }
 
-/// A gated recurrent unit, and the layer of the posterior after it.
+/// A gated recurrent unit, and the layer of the posterior, which takes the unit and the encoded sample. The unit bounds
+/// its values and mixes them with those before, so precise values of the present sample do not pass through it.
 pub(super) struct Gru {
     inputs: Inputs,
     cell: Cell,
-    /// `[2 * latent, width]`
+    /// `[2 * latent, width + 2 * latent]`
     posterior: Dense,
 }
 
@@ -82,13 +83,14 @@ impl Gru {
     pub fn new(architecture: &Architecture, builder: &mut Builder) -> Result<Self> {
         let inputs = Inputs::new(architecture);
         let cell = Cell::new(architecture, inputs.width(), builder)?;
-        let posterior = builder.dense(POSTERIOR, cell.width, inputs.encoded)?;
+        let posterior = builder.dense(POSTERIOR, cell.width + inputs.encoded, inputs.encoded)?;
         Ok(Self { inputs, cell, posterior })
     }
 
     fn steps(&self, inputs: &Tensor, state: &State) -> Result<Steps> {
         let memory = self.cell.states(inputs, memory_of(state)?)?;
-        let posterior = Posterior(self.posterior.forward(&memory, false, self.cell.arithmetic)?);
+        let joined = Tensor::cat(&[&memory, &inputs.narrow(1, 0, self.inputs.encoded)?], 1)?;
+        let posterior = Posterior(self.posterior.forward(&joined, false, self.cell.arithmetic)?);
         Ok(Steps { memory, posterior })
     }
 }
@@ -108,8 +110,8 @@ impl Unit for Gru {
         self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?.seen(draw)
     }
 
-    fn unseen(&self, state: &State) -> Result<State> {
-        self.steps(&self.inputs.of(state, None, None)?, state)?.unseen()
+    fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State> {
+        self.steps(&self.inputs.of(state, None, between)?, state)?.unseen()
     }
 
     fn detached(&self) -> Box<dyn Unit> {
@@ -118,6 +120,7 @@ impl Unit for Gru {
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        Ok(vec![self.cell.layer(&Inputs::NAMES), self.posterior.layer(POSTERIOR, MEMORY, false)?])
+        let (cell, joined) = (self.cell.layer(&Inputs::NAMES), self.inputs.joined(self.cell.width));
+        Ok(vec![cell, joined, self.posterior.layer(POSTERIOR, JOINED, false)?])
     }
 }

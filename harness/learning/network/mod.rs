@@ -379,6 +379,19 @@ pub trait Network: Send + Sync {
     /// When a tensor operation fails.
     fn decode(&self, state: &State) -> Result<Decoded>;
 
+    /// Returns the states of samples that are not seen, after the actions that follow them: `actions` `[times * batch,
+    /// elements]`, the rows of one time together. The first sample is the one that `state` predicts.
+    ///
+    /// # Errors
+    /// Those of [`act`](Self::act).
+    fn imagine(&self, state: &State, actions: &Tensor) -> Result<State> {
+        let (mut states, batch) = (Vec::<State>::new(), state.latent.dim(0)?);
+        for first in (0..actions.dim(0)?).step_by(batch) {
+            states.push(self.act(states.last().unwrap_or(state), &actions.narrow(0, first, batch)?)?);
+        }
+        State::joined(&states)
+    }
+
     /// Returns the mean loss of each output modality of the predicted sample.
     ///
     /// # Errors
@@ -475,7 +488,7 @@ pub type Decoded = BTreeMap<Modality, Tensor>;
 pub struct Term {
     /// The output modality.
     pub modality: Modality,
-    /// Mean loss over the batch, a scalar.
+    /// Mean loss over each part of the batch, `[parts]`.
     pub value: Tensor,
 }
 
@@ -486,6 +499,8 @@ pub struct Targets<'a> {
     pub values: &'a Observation,
     /// Loss of each vector. Vectors that are not listed, and all images, use the squared error.
     pub losses: &'a BTreeMap<Modality, Loss>,
+    /// Number of equal parts of the batch that have losses of their own, one after the other.
+    pub parts: usize,
 }
 
 /// A diagonal Gaussian distribution over the latent state: the means followed by the log-variances,

@@ -78,8 +78,13 @@ impl Network for Recurrent {
 
     fn act(&self, state: &State, action: &Tensor) -> Result<State> {
         // If there is an action already, the sample that the state predicts is not seen.
-        let state = if state.action.is_some() { &self.unit.unseen(state)? } else { state };
+        let state = if state.action.is_some() { &self.unit.unseen(state, None)? } else { state };
         Ok(State { action: Some(action.clone()), ..state.clone() })
+    }
+
+    fn imagine(&self, state: &State, actions: &Tensor) -> Result<State> {
+        let between = actions.narrow(0, 0, actions.dim(0)? - state.latent.dim(0)?)?;
+        Ok(State { action: Some(actions.clone()), ..self.unit.unseen(state, Some(&between))? })
     }
 
     fn decode(&self, state: &State) -> Result<Decoded> {

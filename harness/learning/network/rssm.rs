@@ -3,12 +3,10 @@
 use super::description::{ACTION, LATENT, Layer, MEMORY, POSTERIOR, PRIOR};
 use super::gru::Cell;
 use super::layers::{Builder, Perceptron};
-use super::unit::{Inputs, Unit, memory_of};
+use super::unit::{Inputs, JOINED, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{Result, Tensor};
 
-/// Name of the value that the posterior takes: the memory and the encoded sample.
-const JOINED: &str = "joined";
 /// Divergences below this number of nats are not reduced further.
 const FREE_NATS: f64 = 1.0;
 /// Weight of the divergence as a loss of the posterior, relative to that as a loss of the prior.
@@ -88,11 +86,16 @@ impl Unit for Rssm {
         Ok(Seen { state, divergence })
     }
 
-    fn unseen(&self, state: &State) -> Result<State> {
-        let action = self.inputs.actions(state, None)?;
-        let memory = self.step(&state.latent, &action, memory_of(state)?)?;
-        let prior = Posterior(self.prior.forward(&memory, false)?);
-        Ok(State { latent: prior.mean()?, action: None, memory: Some(memory) })
+    fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State> {
+        let (mut memory, mut latent) = (memory_of(state)?.clone(), state.latent.clone());
+        let (batch, actions) = (memory.dim(0)?, self.inputs.actions(state, between)?);
+        let mut states = Vec::new();
+        for first in (0..actions.dim(0)?).step_by(batch) {
+            memory = self.step(&latent, &actions.narrow(0, first, batch)?.contiguous()?, &memory)?;
+            latent = Posterior(self.prior.forward(&memory, false)?).mean()?;
+            states.push(State { latent: latent.clone(), action: None, memory: Some(memory.clone()) });
+        }
+        State::joined(&states)
     }
 
     fn detached(&self) -> Box<dyn Unit> {
@@ -105,11 +108,9 @@ impl Unit for Rssm {
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let joined =
-            Layer::concatenate(JOINED, &[MEMORY, Inputs::NAMES[0]], self.cell.width + self.inputs.encoded);
         let mut layers = vec![self.cell.layer(&[LATENT, ACTION])];
         layers.extend(self.prior.layers(MEMORY, false)?);
-        layers.push(joined);
+        layers.push(self.inputs.joined(self.cell.width));
         layers.extend(self.posterior.layers(JOINED, false)?);
         Ok(layers)
     }

@@ -1,8 +1,11 @@
 //! What a memory is, and what it takes of each sample.
 
-use super::description::{ACTION, ENCODED, Layer, SEEN};
+use super::description::{ACTION, ENCODED, Layer, MEMORY, SEEN};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{DType, Result, Tensor};
+
+/// Name of the value that a posterior takes: the memory and the encoded sample.
+pub(super) const JOINED: &str = "joined";
 
 /// A memory: what it keeps of encoded samples, and the latent state that follows from it.
 pub(super) trait Unit: Send + Sync {
@@ -23,11 +26,12 @@ pub(super) trait Unit: Send + Sync {
         draw: &mut Draw,
     ) -> Result<Seen>;
 
-    /// Returns the state of the sample that `state` predicts, which is not seen.
+    /// Returns the states of the sample that `state` predicts and of those after it, none of which is seen. `between`
+    /// are the actions between the times, `[(times - 1) * batch, elements]`; `None` for one time.
     ///
     /// # Errors
     /// When the state has no memory.
-    fn unseen(&self, state: &State) -> Result<State>;
+    fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State>;
 
     /// Returns the same unit over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Unit>;
@@ -62,17 +66,23 @@ impl Inputs {
         self.encoded + 1 + self.action
     }
 
-    /// Returns the parts side by side, `[times * batch, width]`. `encoded` is `None` for one time that is not seen.
+    /// Returns the parts side by side, `[times * batch, width]`. `encoded` is `None` for samples that are not seen.
     pub fn of(self, state: &State, encoded: Option<&Tensor>, between: Option<&Tensor>) -> Result<Tensor> {
-        let (batch, device) = (state.latent.dim(0)?, state.latent.device());
+        let (actions, device) = (self.actions(state, between)?, state.latent.device());
+        let rows = actions.dim(0)?;
         let (encoded, seen) = match encoded {
-            Some(encoded) => (encoded.clone(), Tensor::ones((encoded.dim(0)?, 1), DType::F32, device)?),
+            Some(encoded) => (encoded.clone(), Tensor::ones((rows, 1), DType::F32, device)?),
             None => (
-                Tensor::zeros((batch, self.encoded), DType::F32, device)?,
-                Tensor::zeros((batch, 1), DType::F32, device)?,
+                Tensor::zeros((rows, self.encoded), DType::F32, device)?,
+                Tensor::zeros((rows, 1), DType::F32, device)?,
             ),
         };
-        Tensor::cat(&[&encoded, &seen, &self.actions(state, between)?], 1)
+        Tensor::cat(&[&encoded, &seen, &actions], 1)
+    }
+
+    /// Describes the value of the memory and the encoded sample side by side.
+    pub fn joined(self, memory: usize) -> Layer {
+        Layer::concatenate(JOINED, &[MEMORY, ENCODED], memory + self.encoded)
     }
 
     /// Returns the action before each sample, `[times * batch, action]`; zero before an episode's first sample.
@@ -107,7 +117,7 @@ impl Steps {
         Ok(Seen { state: State { latent, action: None, memory: Some(self.memory) }, divergence })
     }
 
-    /// Returns the state of a sample that is not seen.
+    /// Returns the states of samples that are not seen.
     pub fn unseen(self) -> Result<State> {
         Ok(State { latent: self.posterior.mean()?, action: None, memory: Some(self.memory) })
     }

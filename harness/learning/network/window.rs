@@ -57,8 +57,8 @@ impl Unit for LastSamples {
         self.steps(&self.inputs.of(state, Some(encoded), between)?, state)?.seen(draw)
     }
 
-    fn unseen(&self, state: &State) -> Result<State> {
-        self.steps(&self.inputs.of(state, None, None)?, state)?.unseen()
+    fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State> {
+        self.steps(&self.inputs.of(state, None, between)?, state)?.unseen()
     }
 
     fn detached(&self) -> Box<dyn Unit> {
