@@ -39,7 +39,6 @@ pub const SPECS: &[BuiltIn] = built_in![
     "latent_assumptions",
     "memory",
     "memory_next_sample",
-    "memory_present_sample",
     "memory_unknown_start",
     "multi_to_multi",
     "multi_to_multi_400k",
