@@ -62,7 +62,7 @@ pub struct Run {
     /// Do nothing, but print whether each run would be done, why, and the layers of the networks
     #[arg(long)]
     dry_run: bool,
-    /// Number of runs of a scenario to train at the same time, each with its share of the threads. This is faster for
+    /// Number of runs of a dataset to train at the same time, each with its share of the threads. This is faster for
     /// small networks, and gives the same results
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: u16,
