@@ -86,7 +86,7 @@ fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
     let more = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
     succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
     let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
-    // The networks are in the empty scenario, and the simulator is in both.
+    // The simulator was judged by a task of the networks that had no memory.
     assert!(words.contains("angles, memory=none, model=simulator"), "{words:?}");
     assert!(words.contains("persistence") && words.contains("training mean"), "{words:?}");
     assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
