@@ -31,6 +31,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_hidden",
     "choose_kl_weight",
     "choose_memory",
+    "choose_memory_camera",
     "choose_multi_losses",
     "choose_multi_widths",
     "choose_recipe",
