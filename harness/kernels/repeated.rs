@@ -15,8 +15,8 @@ const ROWS: usize = 6;
 /// Number of columns of a row that are packed before the next row, so that the panel's part stays in the nearest cache.
 const BLOCK: usize = 64;
 
-/// A matrix that is multiplied with a few rows at a time. A general product packs its operands each time. With few rows,
-/// this costs as much as the product, so the matrix is packed only once.
+/// A matrix that is multiplied with a few rows at a time. A general product packs its operands each time. With few
+/// rows, this costs as much as the product, so the matrix is packed only once.
 pub struct Repeated<'a> {
     matrix: Matrix<'a>,
     arithmetic: Arithmetic,

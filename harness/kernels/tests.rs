@@ -134,7 +134,7 @@ fn products_are_the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
-fn repeated_products_are_exact_and_the_same_bits_in_any_division_of_the_rows() {
+fn repeated_products_are_the_same_bits_for_any_rows() {
     for [rows, inner, columns] in [[1, 1, 1], [7, 3, 65], [20, 256, 768], [20, 768, 256], [31, 70, 130]] {
         let mut random = Normals::new((rows * inner * columns) as u64);
         let (left, matrix) = (random.draw(rows * inner), random.draw(inner * columns));
