@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use std::sync::{Arc, Mutex};
 
 /// The parameters between the decoder's hidden layer and a frame.
+#[derive(Clone)]
 pub struct FrameDecoder {
     /// The convolutions. They are applied transposed, so the last one of the stack comes first.
     pub stack: Stack,

@@ -215,9 +215,7 @@ impl Sizes {
         );
         recurrent.add_product(of_hidden, grad, threads());
     }
-}
 
-impl Sizes {
     /// Computes the states of all times, `[times * batch, width]`, and the products with the states before them.
     fn forward(self, input: &[f32], packed: &[f32], start: &[f32], hidden: &mut [f32], states: &mut [f32]) {
         let (width, (weight, bias)) = (self.width, self.unpack(packed));

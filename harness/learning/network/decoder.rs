@@ -139,12 +139,12 @@ impl Decoder for PerceptronDecoder {
         }
         if let Some(output) = &self.frames {
             for (index, &modality) in self.images_of.iter().enumerate() {
+                let decoder = output.decoder(index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
                 let target = targets.values.frames(&[modality])?;
                 let rows = hidden.frames.dim(0)? / targets.parts;
                 let of_part = |part: usize| {
-                    let decoder = output.decoder(index * IMAGE_CHANNELS, IMAGE_CHANNELS)?;
                     let hidden = hidden.frames.narrow(0, part * rows, rows)?;
-                    frame_loss(&hidden, decoder, frames::part(&target, part * rows, rows))
+                    frame_loss(&hidden, decoder.clone(), frames::part(&target, part * rows, rows))
                 };
                 let losses = (0..targets.parts).map(of_part).collect::<Result<Vec<_>>>()?;
                 terms.push(Term { modality, value: Tensor::stack(&losses, 0)? });
