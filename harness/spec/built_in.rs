@@ -53,6 +53,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "single_to_multi_best",
     "smoke",
     "value",
+    "value_400k",
 ];
 
 impl BuiltIn {
