@@ -595,8 +595,32 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     let unknown = refused(&["compare", "smoke", "--by", "latent", "--difference-from", "latent 3"]);
     assert_eq!(
         unknown,
-        "error: there is no column 'latent 3'; the columns of networks are latent 2, latent 4\n"
+        "error: there is no column 'latent 3'; the columns are latent 2, latent 4, persistence, ridge, training mean\n"
     );
+    // A baseline has no seed, so each network is compared with it on the same dataset.
+    let sql = "select avg(n.value - p.value) as gain, count(*) as runs from metrics n join metrics p on n.run = p.run \
+               and n.task = p.task and n.modality = p.modality and n.metric = p.metric join runs r on r.run = n.run \
+               where n.metric = 'rmse' and n.modality = 'contact_force' and n.model = 'network' and p.model = \
+               'persistence' and n.latent = 4 and n.index is null and p.index is null and n.direction is null and \
+               p.direction is null group by r.dataset";
+    let datasets = ask(&results, sql);
+    let gains: Vec<f64> = datasets.iter().map(|row| row["gain"].as_f64().unwrap()).collect();
+    let runs: u64 = datasets.iter().map(|row| row["runs"].as_u64().unwrap()).sum();
+    assert_eq!((gains.len(), runs), (3, 4));
+    let file = results.join("gains.csv").display().to_string();
+    let base = ["--by", "latent", "--difference-from", "persistence", "--output", &file];
+    succeed(&results, &[&["compare", "smoke", "--metrics", "rmse"], &base[..]].concat());
+    let csv = std::fs::read_to_string(&file).unwrap();
+    let mut rows = csv.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let header = rows.next().unwrap();
+    let place = |name: &str| header.iter().position(|column| *column == name).unwrap();
+    let (model, latent, modality) = (place("model"), place("latent"), place("modality"));
+    let is_wanted =
+        |row: &Vec<&str>| (row[model], row[latent], row[modality]) == ("network", "4", "contact_force");
+    let row = rows.find(is_wanted).unwrap();
+    assert_eq!((row[place("datasets")], row[place("seeds")]), ("3", "4"), "{csv}");
+    let mean: f64 = row[place("mean")].parse().unwrap();
+    assert!((mean - gains.iter().sum::<f64>() / 3.0).abs() < 1e-9, "{mean}, {gains:?}");
     let scenarios = refused(&["compare", "--by", "scenario", "--difference-from", "empty"]);
     assert!(scenarios.contains("each scenario has its own; leave scenario out of --by"), "{scenarios}");
 }

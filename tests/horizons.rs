@@ -478,6 +478,20 @@ fn horizons_are_columns_of_a_comparison() {
     let first = |table: &[Vec<String>]| table[2..].iter().map(|row| row[..3].to_vec()).collect::<Vec<_>>();
     assert_eq!(first(&table), first(&usual));
     assert!(by_horizon.contains("horizons in samples of 0.1 s"), "{by_horizon}");
+    // One horizon alone has the values of its column.
+    let two = succeed(&RESULTS, &[&ask[..], &as_markdown, &["--horizon", "2"]].concat());
+    let column = |table: &[Vec<String>], place: usize| -> Vec<[String; 2]> {
+        table[2..].iter().map(|row| [row[1].clone(), row[place].clone()]).collect()
+    };
+    let cells_of_two = two.lines().filter(|line| line.starts_with('|')).map(cells).collect::<Vec<_>>();
+    assert_eq!(column(&cells_of_two, 2), column(&table, 3), "{two}");
+    assert!(two.contains("horizon 2; ") && two.contains("horizons in samples of 0.1 s"), "{two}");
+    let refused = |arguments: &[&str]| finish(&mut harness(&RESULTS, &[&ask[..], arguments].concat())).stderr;
+    assert_eq!(
+        refused(&["--horizon", "3"]),
+        "error: no run predicts 3 samples ahead; the horizons of the runs are 1, 2, 4\n"
+    );
+    assert!(refused(&["--horizon", "2", "--by", "horizon"]).contains("so horizon can't be in --by"));
     // A reconstruction is 0 samples ahead.
     let all = compared(&RESULTS, &["--by", "horizon", "--metrics", "r2"]);
     let of_task = |task: &str| {

@@ -232,15 +232,15 @@ impl<'a> Comparison<'a> {
         self.values.insert((subject, side), Cow::Borrowed(mean));
     }
 
-    /// Replaces the values of each column by their differences from those of the column `base`. The columns of
-    /// baselines are left out, because a baseline has no seed.
+    /// Replaces the values of each column by their differences from those of the column `base`. If this is a column of
+    /// networks, those of baselines are left out, because a baseline has no seed.
     pub fn subtract(&mut self, base: &Side) {
         let mut differences = BTreeMap::new();
         for ((subject, own), mean) in &self.values {
             let Some(of_base) = self.values.get(&(subject.clone(), base.clone())) else { continue };
             let value =
                 if own == base { Some(mean.clone()) } else { mean.difference_from(of_base).map(Cow::Owned) };
-            if let Some(value) = value.filter(|_| own.baseline.is_none()) {
+            if let Some(value) = value.filter(|_| own.baseline.is_none() || base.baseline.is_some()) {
                 differences.insert((subject.clone(), own.clone()), value);
             }
         }

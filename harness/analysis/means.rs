@@ -44,8 +44,8 @@ pub struct Of {
     pub settings: String,
     /// The values of the settings by which means are told apart; see [`Analysis::means_by`].
     pub values: BTreeMap<&'static str, String>,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction. `None` if [`Key::Horizon`] does
-    /// not tell means apart, and for a skill horizon.
+    /// Number of samples from the present to the predicted one; 0 for a reconstruction. `None` for a mean of
+    /// [`Analysis::means`], and for a skill horizon.
     pub horizon: Option<usize>,
     /// Size of the latent state; `None` for a baseline and an external model, which have none.
     pub latent: Option<usize>,
@@ -100,16 +100,18 @@ impl Mean {
     }
 
     /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
-    /// if they share none. Both must be of the same scenario, so that the values are of the same data.
+    /// if they share none. A baseline has no seed of training, so its value is compared with every value on the same
+    /// dataset. Both must be of the same scenario, so that the values are of the same data.
     pub fn difference_from(&self, base: &Mean) -> Option<Self> {
-        let of_base: HashMap<&(u64, u64), f64> = base.seeds.iter().zip(base.values.iter().copied()).collect();
+        let key = |(dataset, seed): &(u64, u64)| (*dataset, (base.of.model == NETWORK).then_some(*seed));
+        let of_base: HashMap<_, f64> = base.seeds.iter().map(key).zip(base.values.iter().copied()).collect();
         let own = self.seeds.iter().zip(&self.values);
-        let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(seeds)?)));
+        let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(&key(seeds))?)));
         Self::new(self.of.clone(), self.unit.clone(), differences.collect())
     }
 
     /// Converts means to a table with one row for each mean. Settings by which they are told apart are columns, and the
-    /// horizon is one if they are told apart by it.
+    /// horizon is one if the means have one.
     ///
     /// # Errors
     /// When Polars can't build the table, for which no reason is known.
@@ -196,6 +198,26 @@ impl Analysis {
         let mut rows = self.rows(of, "")?;
         rows.extend(skills(&rows));
         Ok(self.means_of(rows, keys))
+    }
+
+    /// Like [`Analysis::means_by`], with the means of predictions `horizon` samples ahead instead of those of the next
+    /// sample. Empty if no run predicts at this horizon.
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn means_at(&self, horizon: usize, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+        let mut rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} = {horizon}"))?;
+        rows.extend(skills(&rows));
+        Ok(self.means_of(rows, keys))
+    }
+
+    /// The horizons at which the runs that count predict, in samples.
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub fn horizons(&self) -> Result<BTreeSet<usize>, QueryError> {
+        let rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} > 0"))?;
+        Ok(rows.into_iter().filter_map(|row| row.horizon).collect())
     }
 
     /// The means of the skill horizon, for each group of runs that count, and for the baselines. `keys` tell them apart

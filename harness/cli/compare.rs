@@ -15,7 +15,7 @@ use harness::analysis::{
 };
 use harness::judge::models;
 use harness::metrics::{Metric, best};
-use harness::numbers::Natural;
+use harness::numbers::{Natural, counted};
 use harness::registry::Registry;
 use harness::spec::{Task, variant_parts};
 use std::borrow::Cow;
@@ -54,8 +54,11 @@ pub struct Compare {
     /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
+    /// Compare predictions N samples ahead [default: the next sample]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    horizon: Option<u32>,
     /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those
-    /// of runs with the same dataset and seed
+    /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline
     #[arg(long, value_name = "COLUMN")]
     difference_from: Option<String>,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
@@ -71,6 +74,11 @@ const LAST_HORIZON: &str = "a skill horizon that is the last horizon of the runs
 /// A note about horizons, given the number of samples per second.
 fn of_samples(rate_hz: f64) -> String {
     format!("horizons in samples of {} s", 1.0 / rate_hz)
+}
+
+/// Numbers, separated by commas.
+fn listed(numbers: &BTreeSet<usize>) -> String {
+    numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// The reason why there is nothing to compare.
@@ -97,14 +105,25 @@ pub enum CompareError {
         /// The models that there are.
         known: String,
     },
-    /// No column of networks has the heading of `--difference-from`.
-    #[error("there is no column '{wanted}'; the columns of networks are {}", columns.join(", "))]
+    /// No column has the heading of `--difference-from`.
+    #[error("there is no column '{wanted}'; the columns are {}", columns.join(", "))]
     Column {
         /// The heading.
         wanted: String,
-        /// The headings of the columns of networks.
+        /// The headings of the columns.
         columns: Vec<String>,
     },
+    /// No run predicts so many samples ahead.
+    #[error("no run predicts {} ahead; the horizons of the runs are {}", counted(*wanted, "sample"), listed(horizons))]
+    Horizon {
+        /// The wanted number of samples.
+        wanted: usize,
+        /// The horizons of the runs, in samples.
+        horizons: BTreeSet<usize>,
+    },
+    /// Horizons are columns, and one is chosen.
+    #[error("--horizon chooses one horizon, so horizon can't be in --by")]
+    Horizons,
     /// Columns of different scenarios can't be subtracted.
     #[error(
         "--difference-from compares runs on the same data, and each scenario has its own; leave scenario out of --by"
@@ -123,7 +142,7 @@ impl Compare {
         if analysis.experiments().next().is_none() {
             return Err(CompareError::Nothing(registry.command("run single_to_multi")).into());
         }
-        let mut all = analysis.means_by(&self.by)?;
+        let mut all = self.means(&analysis)?;
         if self.has(Metric::SkillHorizon) {
             all.extend(analysis.skill_horizons_by(&self.by)?);
         }
@@ -161,7 +180,7 @@ impl Compare {
                 return data.write(&mut Mean::frame(&means)?, "mean");
             }
         };
-        if by.contains(&Key::Horizon) {
+        if by.contains(&Key::Horizon) || self.horizon.is_some() {
             comparison.notes.extend(analysis.sample_rate_hz().map(of_samples));
         }
         if means.iter().any(|mean| mean.of.metric == Metric::SkillHorizon.name()) {
@@ -170,6 +189,20 @@ impl Compare {
         comparison.notes.extend(analysis.notes().iter().cloned());
         print!("{}", comparison.sheet(style).render(style, width()));
         Ok(ExitCode::from(DONE))
+    }
+
+    /// The means at the chosen horizon, or by the keys.
+    fn means(&self, analysis: &Analysis) -> Result<Vec<Mean>> {
+        let Some(horizon) = self.horizon else { return Ok(analysis.means_by(&self.by)?) };
+        if self.by.contains(&Key::Horizon) {
+            return Err(CompareError::Horizons.into());
+        }
+        let wanted = horizon as usize;
+        let means = analysis.means_at(wanted, &self.by)?;
+        if means.is_empty() {
+            return Err(CompareError::Horizon { wanted, horizons: analysis.horizons()? }.into());
+        }
+        Ok(means)
     }
 
     /// Whether this metric is wanted.
@@ -270,18 +303,17 @@ impl<'a> Printed<'a> {
     /// Replaces the values of each column by their differences from those of the column with the heading `base`.
     fn subtract(&mut self, base: &str) -> Result<(), CompareError> {
         let sides = self.table.sides();
-        let of_networks = || sides.iter().filter(|side| side.baseline.is_none());
         let name = |side: &Side| named(side, Style::Text, &BTreeMap::new());
-        let Some(side) = of_networks().find(|side| name(side) == base) else {
-            let columns = of_networks().map(|side| name(side)).collect();
+        let Some(side) = sides.iter().find(|side| name(side) == base) else {
+            let columns = sides.iter().map(|side| name(side)).collect();
             return Err(CompareError::Column { wanted: base.to_owned(), columns });
         };
         let side = (*side).clone();
+        let pairs =
+            if side.baseline.is_some() { "on the same dataset" } else { "with the same dataset and seed" };
+        self.notes.push(format!("the other columns have the differences from {base}, of runs {pairs}"));
         self.table.subtract(&side);
         self.base = Some(side);
-        self.notes.push(format!(
-            "the other columns have the differences from {base}, of runs with the same dataset and seed"
-        ));
         Ok(())
     }
 
