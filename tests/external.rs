@@ -164,6 +164,8 @@ fn a_file_of_a_networks_predictions_gets_its_metrics() {
         let options = ["--cell", "empty", "--model", "twin", "--note", "commit=ab12cd3"];
         let said = succeed(&results, &judge(&file, &options));
         assert!(said.contains("smoke/empty-model=twin-seed0-"), "{said}");
+        let heading = said.lines().find(|line| line.contains("training mean")).unwrap();
+        assert!(heading.trim().starts_with("twin") && !heading.contains("network"), "{said}");
         // The metrics of the network, and those of the baselines, to the last digit.
         let own = metrics(&results, "multi_to_multi");
         assert!(own.lines().count() > 500, "{own}");

@@ -10,8 +10,10 @@ use harness::learning::training::TOTAL;
 use harness::metrics::{best, rounded};
 use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord};
+use harness::spec::model_parts;
 use serde::Deserialize;
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
 
 /// The note of a table with modalities whose elements have different units.
 pub const BY_UNIT: &str = "a modality whose elements have different units is judged by unit";
@@ -79,7 +81,9 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         ];
         (words, numbers)
     };
-    let header = models::ALL.map(|model| model.replace('_', " ")).to_vec();
+    let header =
+        std::iter::once(predictors(&rows)).chain(models::BASELINES.map(|model| model.replace('_', " ")));
+    let header = header.collect();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let notes = rows.iter().any(is_part).then(|| BY_UNIT.to_owned()).into_iter().collect();
     Ok(Sheet {
@@ -90,6 +94,17 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         notes,
         ..Sheet::default()
     })
+}
+
+/// What the models that are not baselines are called: `network`, the name of an external model, or both words.
+fn predictors(rows: &[Row]) -> String {
+    let names: BTreeSet<Option<&str>> = rows.iter().map(|row| model_parts(&row.variant).1).collect();
+    match names.iter().copied().collect::<Vec<_>>()[..] {
+        [] | [None] => models::NETWORK.to_owned(),
+        [Some(name)] => name.to_owned(),
+        [None, ..] => "network or model".to_owned(),
+        _ => "model".to_owned(),
+    }
 }
 
 /// The run with the lowest validation error of some runs that were validated alike.

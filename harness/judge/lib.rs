@@ -34,7 +34,9 @@ pub mod models {
     pub const RIDGE: &str = "ridge";
     /// The mean of the training samples.
     pub const TRAINING_MEAN: &str = "training_mean";
-    /// All of them. Those after the first are baselines.
+    /// The baselines.
+    pub const BASELINES: [&str; 3] = [PERSISTENCE, RIDGE, TRAINING_MEAN];
+    /// All of them.
     pub const ALL: [&str; 4] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN];
 }
 
