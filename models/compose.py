@@ -15,7 +15,8 @@ import sys
 from dm_control import mjcf
 from lxml import etree
 
-SCENES = ("empty", "cluttered", "crowded", "wrist", "tendon", "twelve")
+SCENES = ("empty", "cluttered", "crowded", "crowded_moving", "wrist", "tendon", "twelve")
+CROWDED = ("crowded", "crowded_moving")
 PRECISION = 9  # significant digits in the files
 HERE = pathlib.Path(__file__).resolve().parent
 
@@ -54,10 +55,11 @@ BOX_MASS = 1.0  # kg
 BOX_FRICTION = 0.5  # sliding, against the ground and each other
 BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angle in (147, 169, 191, 213)]
 
-# Pillars of the crowded scene, which the finger presses on from above.
+# Pillars of the crowded scenes, which the finger presses on from above.
 PILLAR_RADIUS = 0.18  # m
 PILLAR_HEIGHTS = (0.21, 0.25, 0.29, 0.33, 0.37, 0.41, 0.45)  # m, below the tip of the lifted finger (0.5 m)
 PILLAR_DENSITY = 2400  # kg/m3, concrete: the finger can't move them
+LIGHT_PILLAR_DENSITY = 15  # kg/m3, polystyrene foam, in crowded_moving: 0.3 to 0.7 kg, so the finger moves some of them
 PILLAR_PARKING = [(x, y) for x in (-1.02, -1.43) for y in (-0.41, 0, 0.41)] + [(-1.84, 0)]  # m
 
 TIMESTEP = 1e-3  # s
@@ -65,7 +67,7 @@ TIMESTEP = 1e-3  # s
 CAMERA_POSITION = (-3.8, -2.55, 3.55)  # m
 CAMERA_TARGET = (-0.79, 0.44, 0.0)  # m
 CAMERA_FOVY = 34  # degrees
-# The crowded scene's camera is steeper and sees a smaller part of the ground, so that the pillars' tops are large.
+# The crowded scenes' camera is steeper and sees a smaller part of the ground, so that the pillars' tops are large.
 CROWDED_CAMERA_POSITION = (-3.7, -2.1, 4.4)  # m
 CROWDED_CAMERA_TARGET = (-1.22, 0.05, 0.4)  # m
 CROWDED_CAMERA_FOVY = 27  # degrees
@@ -219,12 +221,12 @@ def boxes(world):
         body.add("geom", name=f"box_{index}", rgba=BOX_RGBA[index % 2])
 
 
-def pillars(world):
-    """Adds the pillars, each of its own height and color, in two rows and one behind."""
+def pillars(world, density):
+    """Adds pillars of a `density` (kg/m3), each of its own height and color, in two rows and one behind."""
     defaults = world.root.default.add("default", dclass="pillar")
     defaults.geom.set_attributes(
         type="cylinder",
-        density=PILLAR_DENSITY,
+        density=density,
         friction=[BOX_FRICTION],
         contype=BOX_BIT,
         conaffinity=FINGER_BIT | BOX_BIT,
@@ -252,7 +254,7 @@ def scene(name):
     world = root.worldbody
     world.add("light", name="sun", type="directional", pos=(-2, 1, 4), dir=(0.4, -0.25, -1))
     position, target, fovy = CAMERA_POSITION, CAMERA_TARGET, CAMERA_FOVY
-    if name == "crowded":
+    if name in CROWDED:
         position, target, fovy = CROWDED_CAMERA_POSITION, CROWDED_CAMERA_TARGET, CROWDED_CAMERA_FOVY
     world.add("camera", name="external", pos=position, xyaxes=look_at(position, target), fovy=fovy)
     world.add(
@@ -267,15 +269,15 @@ def scene(name):
     )
     beam = arm(world)
     finger(beam, FEWER_JOINTS if name == "twelve" else JOINTS, tendons=name == "tendon")
-    if name in ("wrist", "twelve", "crowded"):
+    if name in ("wrist", "twelve", *CROWDED):
         axes = look_at(WRIST_POSITION, WRIST_TARGET)
         beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
-    if name in ("cluttered", "crowded", "wrist"):
+    if name in ("cluttered", "wrist", *CROWDED):
         root.option.flag.sleep = "enable"  # objects at rest take no time; the actuated arm never sleeps
     if name in ("cluttered", "wrist"):
         boxes(world)
-    if name == "crowded":
-        pillars(world)
+    if name in CROWDED:
+        pillars(world, PILLAR_DENSITY if name == "crowded" else LIGHT_PILLAR_DENSITY)
     pulled = [0] * (len(TENDONS) if name == "tendon" else 0)
     root.keyframe.add("key", name="rest", ctrl=[ROTATION_REST, 0, 0, *pulled])
     return root

@@ -254,7 +254,8 @@ fn unknown_names_are_refused_with_the_nearest_one() {
         (
             "scenarios: [clutter]",
             "spec.yaml:2:13: unknown scenario 'clutter' in 'scenarios'; did you mean 'cluttered'? Allowed: \
-             empty, cluttered, crowded, wrist, tendon, the path of a world file, or the name of an imported dataset",
+             empty, cluttered, crowded, crowded_moving, wrist, tendon, the path of a world file, or the name of an \
+             imported dataset",
         ),
         (
             "network: {preset: Single_To_Multi}",

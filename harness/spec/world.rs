@@ -664,10 +664,15 @@ pub(super) struct Known {
 }
 
 /// The built-in worlds: name, text of the world file, text of the MJCF.
-const BUILT_IN: [(&str, &str, &str); 5] = [
+const BUILT_IN: [(&str, &str, &str); 6] = [
     ("empty", include_str!("../../models/empty.yaml"), include_str!("../../models/empty.xml")),
     ("cluttered", include_str!("../../models/cluttered.yaml"), include_str!("../../models/cluttered.xml")),
     ("crowded", include_str!("../../models/crowded.yaml"), include_str!("../../models/crowded.xml")),
+    (
+        "crowded_moving",
+        include_str!("../../models/crowded_moving.yaml"),
+        include_str!("../../models/crowded_moving.xml"),
+    ),
     ("wrist", include_str!("../../models/wrist.yaml"), include_str!("../../models/wrist.xml")),
     ("tendon", include_str!("../../models/tendon.yaml"), include_str!("../../models/tendon.xml")),
 ];
