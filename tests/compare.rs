@@ -626,6 +626,19 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
 }
 
 #[test]
+fn a_baseline_is_one_column_over_all_datasets() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let roles = ["variant=role=angles", "variant=role=angles_and_camera"];
+    let options = ["--models", "network,persistence", "--metrics", "r2", "--format", "markdown"];
+    let chosen: Vec<&str> = roles.into_iter().flat_map(|role| ["--where", role]).collect();
+    let printed = succeed(&reference, &[&["compare", "memory"], &chosen[..], &options].concat());
+    // The networks with the camera are on one more dataset.
+    let (header, _) = markdown(&printed);
+    assert_eq!(header[2..], ["angles", "angles_and_camera", "persistence"], "{printed}");
+    assert!(printed.contains("over 2 to 3 datasets"), "{printed}");
+}
+
+#[test]
 fn what_is_chosen_is_what_is_printed() {
     let printed = succeed(
         &RESULTS,

@@ -460,6 +460,19 @@ fn pillars_stay_in_place_and_the_finger_often_touches_them() {
     assert!((0.3..0.55).contains(&share), "{share}");
 }
 
+/// `crowded_moving.yaml` repeats `crowded.yaml`, because a world file can't include another.
+#[test]
+fn the_crowded_worlds_differ_in_their_models_alone() {
+    let settings = |name: &str| {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("models/{name}.yaml"));
+        let text = std::fs::read_to_string(file).unwrap();
+        let (head, settings) = text.split_once("step_rate_hz").unwrap();
+        assert!(head.ends_with(&format!("model: {name}.xml\n")), "{head}");
+        settings.to_owned()
+    };
+    assert_eq!(settings("crowded_moving"), settings("crowded"));
+}
+
 #[test]
 fn light_pillars_are_pushed_away() {
     let scene = scene(Scenario::new("crowded_moving").unwrap());

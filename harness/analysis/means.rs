@@ -110,6 +110,18 @@ impl Mean {
         Self::new(self.of.clone(), self.unit.clone(), differences.collect())
     }
 
+    /// Whether two means of a baseline share datasets, and have the same value on each of them, up to rounding.
+    fn agrees_with(&self, other: &Mean) -> bool {
+        const ROUNDING: f64 = 1e-4;
+        let of_other: HashMap<u64, f64> =
+            other.seeds.iter().map(|(dataset, _)| *dataset).zip(other.values.iter().copied()).collect();
+        let own = self.seeds.iter().zip(&self.values);
+        let mut shared =
+            own.filter_map(|((dataset, _), value)| Some((*value, *of_other.get(dataset)?))).peekable();
+        let is_equal = |(a, b): (f64, f64)| (a - b).abs() <= ROUNDING * a.abs().max(b.abs());
+        shared.peek().is_some() && shared.all(is_equal)
+    }
+
     /// Converts means to a table with one row for each mean. Settings by which they are told apart are columns, and the
     /// horizon is one if the means have one.
     ///
@@ -301,6 +313,31 @@ impl Analysis {
             }
             Mean::new(of, unit, values)
         };
-        found.into_iter().filter_map(mean).collect()
+        over_most_datasets(found.into_iter().filter_map(mean).collect())
     }
+}
+
+/// The same means, with each baseline over as many datasets as the experiment has. Some of its runs may be on fewer
+/// datasets than others. A baseline that has the same values wherever both are does not depend on what they differ in.
+fn over_most_datasets(means: Vec<Mean>) -> Vec<Mean> {
+    let of_any_run = |of: &Of| Of {
+        variant: String::new(),
+        settings: String::new(),
+        values: BTreeMap::new(),
+        ..of.clone()
+    };
+    let mut alike: BTreeMap<Of, Vec<Mean>> = BTreeMap::new();
+    for mean in means.iter().filter(|mean| mean.of.model != NETWORK) {
+        alike.entry(of_any_run(&mean.of)).or_default().push(mean.clone());
+    }
+    let complete = |mean: Mean| {
+        if mean.of.model == NETWORK {
+            return mean;
+        }
+        let others = alike[&of_any_run(&mean.of)].iter().filter(|other| mean.agrees_with(other));
+        let most =
+            others.fold(&mean, |most, other| if other.datasets > most.datasets { other } else { most });
+        Mean { of: mean.of.clone(), ..most.clone() }
+    };
+    means.into_iter().map(complete).collect()
 }

@@ -176,8 +176,7 @@ impl Plot {
         let panels_of = |of: &Of| self.facet.map_or(0..1, |key| places(key, of, panels, labels));
         let spots_of = |mean: &'a Mean| {
             let across = move || places(self.x, &mean.of, slots, labels);
-            let value = &over_most_datasets(mean, means).interval;
-            let spots = |panel| across().map(move |slot| Spot { panel, slot, value });
+            let spots = |panel| across().map(move |slot| Spot { panel, slot, value: &mean.interval });
             panels_of(&mean.of).flat_map(spots).collect::<Vec<_>>()
         };
         let mut networks: BTreeMap<Values, Vec<Spot>> = BTreeMap::new();
@@ -403,35 +402,6 @@ fn places(key: Key, of: &Of, values: &Values, labels: &Labels) -> Range<usize> {
     let own = value(key, of, labels);
     let place = values.iter().position(|value| *value == own).unwrap_or_default();
     place..place + 1
-}
-
-/// The mean of the same baseline over the most datasets. Some runs of an experiment may be on fewer datasets than
-/// others. Where both are, the baseline has the same value, unless it depends on what they differ in.
-fn over_most_datasets<'a>(mean: &'a Mean, means: &'a [Mean]) -> &'a Mean {
-    let is_same = |other: &&Mean| {
-        let (own, of) = (&mean.of, &other.of);
-        (&own.model, &own.metric, own.modality, &own.direction)
-            == (&of.model, &of.metric, of.modality, &of.direction)
-            && (&own.experiment, &own.scenario, own.horizon, own.task)
-                == (&of.experiment, &of.scenario, of.horizon, of.task)
-            && agree_on_datasets(mean, other)
-    };
-    let more = |best: &'a Mean, other: &'a Mean| if other.datasets > best.datasets { other } else { best };
-    match mean.of.model == NETWORK {
-        true => mean,
-        false => means.iter().filter(is_same).fold(mean, more),
-    }
-}
-
-/// Whether two means of a baseline share datasets and have the same value on each of them, up to rounding.
-fn agree_on_datasets(a: &Mean, b: &Mean) -> bool {
-    let values = |mean: &Mean| -> BTreeMap<u64, String> {
-        let values = mean.seeds.iter().zip(&mean.values);
-        values.map(|((dataset, _), value)| (*dataset, format!("{value:.4e}"))).collect()
-    };
-    let (a, b) = (values(a), values(b));
-    let mut shared = a.iter().filter_map(|(dataset, value)| Some(b.get(dataset)? == value)).peekable();
-    shared.peek().is_some() && shared.all(|is_equal| is_equal)
 }
 
 /// The points of a series by panel and slot, each with its text.
