@@ -464,7 +464,7 @@ fn pillars_stay_in_place_and_the_finger_often_touches_them() {
 #[test]
 fn the_crowded_worlds_differ_in_their_models_alone() {
     let settings = |name: &str| {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("models/{name}.yaml"));
+        let file = Path::new(ROOT).join(format!("models/{name}.yaml"));
         let text = std::fs::read_to_string(file).unwrap();
         let (head, settings) = text.split_once("step_rate_hz").unwrap();
         assert!(head.ends_with(&format!("model: {name}.xml\n")), "{head}");
