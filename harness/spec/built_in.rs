@@ -39,6 +39,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "force_assumptions",
     "latent_assumptions",
     "memory",
+    "memory_crowded",
     "memory_next_sample",
     "memory_unknown_start",
     "multi_to_multi",
