@@ -96,6 +96,19 @@ fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
     assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
 }
 
+/// Each of the inputs has its own ridge regression.
+#[test]
+fn a_figure_with_too_many_series_leaves_out_ridge() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let out = fresh("figures_without_ridge");
+    let more = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
+    succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
+    let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
+    assert!(words.iter().any(|text| text.ends_with("more than 12 series: ridge")), "{words:?}");
+    assert!(!words.iter().any(|text| text.ends_with(", ridge")), "{words:?}");
+    assert!(words.contains("angles_and_camera") && words.contains("training mean"), "{words:?}");
+}
+
 #[test]
 fn panels_name_the_inputs_of_the_runs_that_they_show() {
     let out = fresh("figures_inputs");

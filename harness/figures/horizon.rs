@@ -54,21 +54,30 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let labels = Labels::new(analysis, &[]);
     let differ = |key: &Key| values(*key, &shown, &labels).len() > 1;
     let by: Vec<Key> = [Key::Latent, Key::Variant, Key::Settings].into_iter().filter(differ).collect();
-    let rows = [error, Metric::Skill].map(|metric| {
-        let plot = Plot {
-            x: Key::Horizon,
-            y: metric.name().to_owned(),
-            by: by.clone(),
-            facet: Some(Key::Scenario),
-            task: Some(Task::Prediction),
-            modality: Some(modality.to_owned()),
-            models: models::ALL.map(str::to_owned).to_vec(),
-        };
-        let means = shown.iter().filter(|mean| mean.of.metric == metric.name()).cloned().collect();
-        Row { plot, means }
-    });
+    let horizons: Vec<usize> = horizons.into_iter().collect();
     let seconds = analysis.sample_rate_hz().map(|rate| 1.0 / rate);
-    draw_rows(&rows, &labels, &horizons.into_iter().collect::<Vec<_>>(), seconds)
+    let draw = |left_out: Option<&str>| {
+        let rows = [error, Metric::Skill].map(|metric| {
+            let plot = Plot {
+                x: Key::Horizon,
+                y: metric.name().to_owned(),
+                by: by.clone(),
+                facet: Some(Key::Scenario),
+                task: Some(Task::Prediction),
+                modality: Some(modality.to_owned()),
+                models: models::ALL.map(str::to_owned).to_vec(),
+            };
+            let is_of_row =
+                |mean: &&Mean| mean.of.metric == metric.name() && Some(mean.of.model.as_str()) != left_out;
+            Row { plot, means: shown.iter().filter(is_of_row).cloned().collect() }
+        });
+        draw_rows(&rows, left_out, &labels, &horizons, seconds)
+    };
+    match draw(None) {
+        // Each input has its own ridge regression. The other baselines have one line each.
+        Err(FigureError::TooMany { .. }) => draw(Some(models::RIDGE)),
+        drawn => drawn,
+    }
 }
 
 /// A row of panels, which shows one metric.
@@ -77,9 +86,11 @@ struct Row {
     means: Vec<Mean>,
 }
 
-/// Draws the rows. `horizons` are in samples, of which each takes `seconds`, if that is known.
+/// Draws the rows, without the model that was left out. `horizons` are in samples, of which each takes `seconds`, if
+/// that is known.
 fn draw_rows(
     rows: &[Row; 2],
+    left_out: Option<&str>,
     labels: &Labels,
     horizons: &[usize],
     seconds: Option<f64>,
@@ -108,12 +119,17 @@ fn draw_rows(
     let named: Values = names.iter().map(|name| Label::from(format!("{name} {unit}"))).collect();
     let beyond =
         |place: usize| rows[place].plot.beyond(&all[place], &panels, &named, &scales[place]([0.0, 1.0]));
-    let remarked = notes(&errors.means, &[beyond(0), beyond(1)].concat(), &scales[0]([0.0, 1.0]));
+    let persistence =
+        "skill: 1 \u{2212} squared error / that of persistence; gray line: persistence".to_owned();
+    let missing =
+        left_out.map(|model| format!("not shown, because of more than {MOST_SERIES} series: {model}"));
+    let noted = notes(&errors.means, &[beyond(0), beyond(1)].concat(), &scales[0]([0.0, 1.0]));
+    let remarked: Vec<String> = [persistence].into_iter().chain(missing).chain(noted).collect();
 
     let width = (COLUMN - LEFT - 4.0 - GAP * (panels.len() as f64 - 1.0)) / panels.len() as f64;
     let top = 20.0 + 9.0 * legends.len() as f64;
     let bottom = top + 2.0 * HEIGHT + BELOW.iter().sum::<f64>();
-    let height = bottom + 8.0 + 8.5 * remarked.len() as f64;
+    let height = bottom + 8.5 * remarked.len() as f64;
     let mut page = Page::new(COLUMN, height, "Error and skill of predictions over the horizon");
     for (row, entries) in legends.iter().enumerate() {
         legend(&mut page, COLUMN / 2.0, 9.0 + 9.0 * row as f64, entries);
@@ -150,9 +166,7 @@ fn draw_rows(
             draw(&mut page, &all[row], place, &scale, across);
         }
     }
-    let persistence =
-        "skill: 1 \u{2212} squared error / that of persistence; gray line: persistence".to_owned();
-    remarks(&mut page, bottom + 4.0, [persistence].into_iter().chain(remarked));
+    remarks(&mut page, bottom + 4.0, remarked);
     Ok(Drawing { page, data: data(rows, seconds)? })
 }
 
