@@ -639,6 +639,32 @@ fn a_baseline_is_one_column_over_all_datasets() {
 }
 
 #[test]
+fn horizons_are_rows_of_one_table() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let table = |more: &[&str]| {
+        let chosen = ["--where", "variant=role=angles", "--where", "scenario=empty", "--format", "markdown"];
+        let of = ["--metrics", "r2", "--models", "network,persistence"];
+        succeed(&reference, &[&["compare", "memory"], &chosen[..], &of, more].concat())
+    };
+    // In their order, each once.
+    let printed = table(&["--horizon", "20,1,5,1", "--modality", "contact_force"]);
+    let (header, rows) = markdown(&printed);
+    assert_eq!(header, ["", "latent 64", "persistence"], "{printed}");
+    assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), ["horizon 1", "horizon 5", "horizon 20"]);
+    assert!(printed.contains("; horizons in samples of 0.1 s"), "{printed}");
+    // Each row is that of the table of its horizon alone, which has more words.
+    let alone = table(&["--horizon", "5", "--modality", "contact_force"]);
+    assert!(markdown(&alone).1[0].ends_with(&rows[1][1..]), "{alone}");
+    // A modality can be chosen as a whole, and by the unit of its elements.
+    let units = |name: &str| {
+        let printed = table(&["--horizon", "1,5", "--modality", name]);
+        markdown(&printed).1.iter().map(|row| row[1].to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(units("arm"), ["arm in m", "arm in rad", "arm in m", "arm in rad"]);
+    assert_eq!(units("arm in rad,contact_force")[..2], ["arm in rad", "contact force"]);
+}
+
+#[test]
 fn what_is_chosen_is_what_is_printed() {
     let printed = succeed(
         &RESULTS,
@@ -694,6 +720,11 @@ fn a_comparison_of_nothing_is_refused() {
             "error: no run has these metrics for this task and model; `harness --results ",
         ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
+        (
+            &RESULTS,
+            &["compare", "--modality", "force"],
+            "error: no run predicts 'force'; they predict contact_force, frame_difference, proprioception, vision\n",
+        ),
     ] {
         let answer = finish(&mut harness(results, arguments));
         assert_eq!((answer.code, answer.stdout.as_str()), (2, ""), "{arguments:?}");

@@ -54,9 +54,13 @@ pub struct Compare {
     /// Compare only this task [default: both]
     #[arg(long, value_parser = PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name())))]
     task: Option<String>,
-    /// Compare predictions N samples ahead [default: the next sample]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    horizon: Option<u32>,
+    /// Compare only the predictions of these modalities, separated by commas, or of the part of one with one unit, for
+    /// example "arm in rad" [default: all]
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    modality: Vec<String>,
+    /// Compare predictions N samples ahead. Several numbers, separated by commas, are rows [default: the next sample]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    horizon: Vec<u32>,
     /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those
     /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline
     #[arg(long, value_name = "COLUMN")]
@@ -113,6 +117,14 @@ pub enum CompareError {
         /// The headings of the columns.
         columns: Vec<String>,
     },
+    /// No run predicts a modality.
+    #[error("no run predicts '{wanted}'; they predict {known}")]
+    Modality {
+        /// The name.
+        wanted: String,
+        /// What the runs predict.
+        known: String,
+    },
     /// No run predicts so many samples ahead.
     #[error("no run predicts {} ahead; the horizons of the runs are {}", counted(*wanted, "sample"), listed(horizons))]
     Horizon {
@@ -122,7 +134,7 @@ pub enum CompareError {
         horizons: BTreeSet<usize>,
     },
     /// Horizons are columns, and one is chosen.
-    #[error("--horizon chooses one horizon, so horizon can't be in --by")]
+    #[error("--horizon chooses the rows, so horizon can't be in --by")]
     Horizons,
     /// Columns of different scenarios can't be subtracted.
     #[error(
@@ -148,10 +160,12 @@ impl Compare {
         }
         self.check_metrics(&all)?;
         self.check_models(&all)?;
+        self.check_modalities(&all)?;
         let is_wanted = |mean: &Mean| {
             let is_model = |name: &String| *name == mean.of.model || mean.of.external() == Some(name);
             self.metrics.contains(&mean.of.metric)
                 && self.models.iter().any(is_model)
+                && (self.modality.is_empty() || self.modality.iter().any(|name| is_of(mean, name)))
                 && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
         };
         let means: Vec<Mean> = all.into_iter().filter(is_wanted).collect();
@@ -180,7 +194,7 @@ impl Compare {
                 return data.write(&mut Mean::frame(&means)?, "mean");
             }
         };
-        if by.contains(&Key::Horizon) || self.horizon.is_some() {
+        if by.contains(&Key::Horizon) || !self.horizon.is_empty() {
             comparison.notes.extend(analysis.sample_rate_hz().map(of_samples));
         }
         if means.iter().any(|mean| mean.of.metric == Metric::SkillHorizon.name()) {
@@ -191,18 +205,24 @@ impl Compare {
         Ok(ExitCode::from(DONE))
     }
 
-    /// The means at the chosen horizon, or by the keys.
+    /// The means at the chosen horizons, or by the keys.
     fn means(&self, analysis: &Analysis) -> Result<Vec<Mean>> {
-        let Some(horizon) = self.horizon else { return Ok(analysis.means_by(&self.by)?) };
+        if self.horizon.is_empty() {
+            return Ok(analysis.means_by(&self.by)?);
+        }
         if self.by.contains(&Key::Horizon) {
             return Err(CompareError::Horizons.into());
         }
-        let wanted = horizon as usize;
-        let means = analysis.means_at(wanted, &self.by)?;
-        if means.is_empty() {
-            return Err(CompareError::Horizon { wanted, horizons: analysis.horizons()? }.into());
+        let mut all = Vec::new();
+        for wanted in self.horizon.iter().collect::<BTreeSet<_>>() {
+            let wanted = *wanted as usize;
+            let means = analysis.means_at(wanted, &self.by)?;
+            if means.is_empty() {
+                return Err(CompareError::Horizon { wanted, horizons: analysis.horizons()? }.into());
+            }
+            all.extend(means);
         }
-        Ok(means)
+        Ok(all)
     }
 
     /// Whether this metric is wanted.
@@ -232,6 +252,24 @@ impl Compare {
             None => Ok(()),
         }
     }
+
+    /// Returns an error if no run predicts a modality.
+    fn check_modalities(&self, means: &[Mean]) -> Result<(), CompareError> {
+        let is_missing = |name: &&String| !means.iter().any(|mean| is_of(mean, name));
+        match self.modality.iter().find(is_missing) {
+            Some(wanted) => {
+                let known: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
+                let known = known.into_iter().collect::<Vec<_>>().join(", ");
+                Err(CompareError::Modality { wanted: wanted.clone(), known })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether a mean is of the modality with this name, or of the part of it that the name says.
+fn is_of(mean: &Mean, name: &str) -> bool {
+    mean.of.modality.name() == name || mean.of.predicted() == name
 }
 
 /// The words of a row or a column for a text: each of the trials in `legend` has its number only, and there are spaces
@@ -330,8 +368,8 @@ impl<'a> Printed<'a> {
             (self.words(subject, unit, style, &legend), self.cells(subject, unit, &sides, style))
         });
         let rows: Vec<_> = rows.collect();
-        // The last two words are the modality and the metric.
-        let titles = rows.first().map_or(0, |(words, _)| words.len() - 2);
+        // The last three words are the horizon, the modality and the metric.
+        let titles = rows.first().map_or(0, |(words, _)| words.len() - 3);
         let header = header.collect();
         let (marked, notes) = (self.base.is_none(), self.notes.clone());
         Sheet { titles, header, rows, marked, notes, legend: legend.into_iter().collect() }

@@ -171,6 +171,7 @@ not hold or is undecided. Intervals are over datasets or, with one dataset, over
   harness compare smoke
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
+  harness compare memory --horizon 1,10 --modality contact_force --metrics r2
   harness compare smoke --format latex > table.tex
   harness compare smoke --format csv              the means, one in each row
 
