@@ -639,6 +639,21 @@ fn a_baseline_is_one_column_over_all_datasets() {
 }
 
 #[test]
+fn differences_name_the_datasets_that_both_columns_have() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let roles = ["scenario=empty", "variant=role=angles", "variant=role=angles_and_camera"];
+    let chosen: Vec<&str> = roles.into_iter().flat_map(|role| ["--where", role]).collect();
+    let over = |more: &[&str]| {
+        let options = ["--models", "network", "--metrics", "r2", "--format", "markdown"];
+        let printed = succeed(&reference, &[&["compare", "memory"], &chosen[..], &options, more].concat());
+        let (_, note) = printed.split_once("95 % interval over ").unwrap();
+        note.split(';').next().unwrap().trim().to_owned()
+    };
+    assert_eq!(over(&[]), "2 to 3 datasets");
+    assert_eq!(over(&["--difference-from", "angles_and_camera"]), "2 datasets");
+}
+
+#[test]
 fn horizons_are_rows_of_one_table() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let table = |more: &[&str]| {

@@ -349,9 +349,11 @@ impl<'a> Printed<'a> {
         let side = (*side).clone();
         let pairs =
             if side.baseline.is_some() { "on the same dataset" } else { "with the same dataset and seed" };
-        self.notes.push(format!("the other columns have the differences from {base}, of runs {pairs}"));
         self.table.subtract(&side);
         self.base = Some(side);
+        // Fewer datasets may be left.
+        self.notes[0] = self.replicates();
+        self.notes.push(format!("the other columns have the differences from {base}, of runs {pairs}"));
         Ok(())
     }
 
