@@ -108,7 +108,13 @@ fn by_name(what: &str, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, Spe
     }
     let names: Vec<&str> = built_in.iter().map(|file| file.name).collect();
     let message = unknown(what, name, "", &names, str::to_owned);
-    Err(SpecError::NoFile { message: format!("{message}, or the path of a file") })
+    // The names are not listed if there are many and one of them is near.
+    let path = if message.ends_with('?') {
+        " The path of a file is allowed, too"
+    } else {
+        ", or the path of a file"
+    };
+    Err(SpecError::NoFile { message: message + path })
 }
 
 fn named(name: Option<&OsStr>, built_in: &[BuiltIn]) -> Option<BuiltIn> {
