@@ -2,7 +2,7 @@
 
 use super::error::SpecError;
 use super::text::read_text;
-use harness_yaml::unknown;
+use harness_yaml::not_known;
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -107,14 +107,10 @@ fn by_name(what: &str, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, Spe
         return Ok(YamlFile { label: file.label(), folder: PathBuf::new(), text: file.text.into() });
     }
     let names: Vec<&str> = built_in.iter().map(|file| file.name).collect();
-    let message = unknown(what, name, "", &names, str::to_owned);
-    // The names are not listed if there are many and one of them is near.
-    let path = if message.ends_with('?') {
-        " The path of a file is allowed, too"
-    } else {
-        ", or the path of a file"
-    };
-    Err(SpecError::NoFile { message: message + path })
+    let message = not_known(what, name, "", &names, str::to_owned);
+    Err(SpecError::NoFile {
+        message: format!("{message} Allowed: {}, or the path of a file", names.join(", ")),
+    })
 }
 
 fn named(name: Option<&OsStr>, built_in: &[BuiltIn]) -> Option<BuiltIn> {

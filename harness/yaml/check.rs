@@ -231,18 +231,13 @@ pub fn unknown(
 ) -> String {
     /// The largest number of names that are listed after a suggestion.
     const MOST: usize = 30;
-    let mut message = format!("unknown {what} '{}'", shorten(found));
-    if !path.is_empty() {
-        message += &format!(" in '{path}'");
-    }
-    let meant = nearest(found, names);
-    message += &meant.map_or(".".to_owned(), |name| format!("; did you mean '{}'?", suggest(name)));
+    let message = not_known(what, found, path, names, suggest);
     // Of dotted keys only those of the section that was named, if it exists.
     let section = found.rfind('.').map_or("", |dot| &found[..=dot]);
     let is_near = |name: &&&str| name.starts_with(section);
     let near: Vec<&str> = names.iter().filter(is_near).copied().collect();
     let allowed = if near.is_empty() { names } else { &near };
-    if meant.is_some() && allowed.len() > MOST {
+    if allowed.len() > MOST && nearest(found, names).is_some() {
         return message;
     }
     let shown = if allowed.len() > MOST {
@@ -251,6 +246,19 @@ pub fn unknown(
         allowed.iter().map(ToString::to_string).collect()
     };
     message + &format!(" Allowed: {}", shown.join(", "))
+}
+
+/// Says that a name is not known, and which of `names` may have been meant, as `suggest` writes it.
+pub fn not_known(
+    what: &str,
+    found: &str,
+    path: &str,
+    names: &[&str],
+    suggest: impl Fn(&str) -> String,
+) -> String {
+    let place = if path.is_empty() { String::new() } else { format!(" in '{path}'") };
+    let meant = nearest(found, names).map(|name| format!("; did you mean '{}'?", suggest(name)));
+    format!("unknown {what} '{}'{place}{}", shorten(found), meant.as_deref().unwrap_or("."))
 }
 
 /// The names, with one entry for all dotted names of a section, such as `training.…`.
