@@ -88,6 +88,11 @@ impl Of {
         let part = self.direction.iter().map(String::as_str);
         std::iter::once(self.modality.name()).chain(part).collect::<Vec<_>>().join(" ")
     }
+
+    /// Whether `name` is that of the predicted modality, or of the part of it with one unit.
+    pub fn is_of(&self, name: &str) -> bool {
+        self.modality.name() == name || self.predicted() == name
+    }
 }
 
 impl Mean {
@@ -212,13 +217,14 @@ impl Analysis {
         Ok(self.means_of(rows, keys))
     }
 
-    /// Like [`Analysis::means_by`], with the means of predictions `horizon` samples ahead instead of those of the next
-    /// sample. Empty if no run predicts at this horizon.
+    /// Like [`Analysis::means_by`], with the means of predictions at these horizons, in samples, instead of those of
+    /// the next sample. A horizon at which no run predicts has none.
     ///
     /// # Errors
     /// When a table is damaged.
-    pub fn means_at(&self, horizon: usize, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
-        let mut rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} = {horizon}"))?;
+    pub fn means_at(&self, horizons: &BTreeSet<usize>, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+        let listed: Vec<String> = horizons.iter().map(usize::to_string).collect();
+        let mut rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} in ({})", listed.join(", ")))?;
         rows.extend(skills(&rows));
         Ok(self.means_of(rows, keys))
     }

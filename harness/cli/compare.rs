@@ -165,7 +165,7 @@ impl Compare {
             let is_model = |name: &String| *name == mean.of.model || mean.of.external() == Some(name);
             self.metrics.contains(&mean.of.metric)
                 && self.models.iter().any(is_model)
-                && (self.modality.is_empty() || self.modality.iter().any(|name| is_of(mean, name)))
+                && (self.modality.is_empty() || self.modality.iter().any(|name| mean.of.is_of(name)))
                 && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
         };
         let means: Vec<Mean> = all.into_iter().filter(is_wanted).collect();
@@ -213,16 +213,15 @@ impl Compare {
         if self.by.contains(&Key::Horizon) {
             return Err(CompareError::Horizons.into());
         }
-        let mut all = Vec::new();
-        for wanted in self.horizon.iter().collect::<BTreeSet<_>>() {
-            let wanted = *wanted as usize;
-            let means = analysis.means_at(wanted, &self.by)?;
-            if means.is_empty() {
-                return Err(CompareError::Horizon { wanted, horizons: analysis.horizons()? }.into());
+        let wanted: BTreeSet<usize> = self.horizon.iter().map(|horizon| *horizon as usize).collect();
+        let means = analysis.means_at(&wanted, &self.by)?;
+        let found: BTreeSet<usize> = means.iter().filter_map(|mean| mean.of.horizon).collect();
+        match wanted.difference(&found).next() {
+            Some(wanted) => {
+                Err(CompareError::Horizon { wanted: *wanted, horizons: analysis.horizons()? }.into())
             }
-            all.extend(means);
+            None => Ok(means),
         }
-        Ok(all)
     }
 
     /// Whether this metric is wanted.
@@ -255,7 +254,7 @@ impl Compare {
 
     /// Returns an error if no run predicts a modality.
     fn check_modalities(&self, means: &[Mean]) -> Result<(), CompareError> {
-        let is_missing = |name: &&String| !means.iter().any(|mean| is_of(mean, name));
+        let is_missing = |name: &&String| !means.iter().any(|mean| mean.of.is_of(name));
         match self.modality.iter().find(is_missing) {
             Some(wanted) => {
                 let known: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
@@ -265,11 +264,6 @@ impl Compare {
             None => Ok(()),
         }
     }
-}
-
-/// Whether a mean is of the modality with this name, or of the part of it that the name says.
-fn is_of(mean: &Mean, name: &str) -> bool {
-    mean.of.modality.name() == name || mean.of.predicted() == name
 }
 
 /// The words of a row or a column for a text: each of the trials in `legend` has its number only, and there are spaces
@@ -325,13 +319,13 @@ struct Printed<'a> {
     metrics: &'a [String],
     /// The column from which the values of all other columns are differences, if they are.
     base: Option<Side>,
+    /// Notes that follow the one with the number of datasets and seeds.
     notes: Vec<String>,
 }
 
 impl<'a> Printed<'a> {
     fn new(table: Comparison<'a>, metrics: &'a [String]) -> Self {
         let mut printed = Self { table, metrics, base: None, notes: Vec::new() };
-        printed.notes.push(printed.replicates());
         if printed.table.units.keys().any(|subject| subject.direction.is_some()) {
             printed.notes.push(BY_UNIT.to_owned());
         }
@@ -351,8 +345,6 @@ impl<'a> Printed<'a> {
             if side.baseline.is_some() { "on the same dataset" } else { "with the same dataset and seed" };
         self.table.subtract(&side);
         self.base = Some(side);
-        // Fewer datasets may be left.
-        self.notes[0] = self.replicates();
         self.notes.push(format!("the other columns have the differences from {base}, of runs {pairs}"));
         Ok(())
     }
@@ -373,7 +365,8 @@ impl<'a> Printed<'a> {
         // The last three words are the horizon, the modality and the metric.
         let titles = rows.first().map_or(0, |(words, _)| words.len() - 3);
         let header = header.collect();
-        let (marked, notes) = (self.base.is_none(), self.notes.clone());
+        let notes = std::iter::once(self.replicates()).chain(self.notes.iter().cloned()).collect();
+        let marked = self.base.is_none();
         Sheet { titles, header, rows, marked, notes, legend: legend.into_iter().collect() }
     }
 

@@ -44,8 +44,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let force = Modality::CONTACT_FORCE.name();
     let usual = there.iter().find(|name| *name == force).or(there.first()).map_or(force, String::as_str);
     let modality = source.modality.as_deref().unwrap_or(usual);
-    let is_shown = |mean: &Mean| mean.of.predicted() == modality || mean.of.modality.name() == modality;
-    let shown: Vec<Mean> = all.into_iter().filter(is_shown).collect();
+    let shown: Vec<Mean> = all.into_iter().filter(|mean| mean.of.is_of(modality)).collect();
     let has = |metric: Metric| shown.iter().any(|mean| mean.of.metric == metric.name());
     let error = if has(Metric::R2) { Metric::R2 } else { Metric::RelativeError };
     if !has(error) {

@@ -114,10 +114,7 @@ impl Plot {
             false => analysis.means_by(&keys)?,
         };
         let all: Vec<Mean> = means.into_iter().filter(|mean| shown(&mean.of)).collect();
-        let has_modality = |of: &Of| {
-            let is_named = |name: &String| of.modality.name() == name || of.predicted() == *name;
-            self.modality.as_ref().is_none_or(is_named)
-        };
+        let has_modality = |of: &Of| self.modality.as_ref().is_none_or(|name| of.is_of(name));
         let is_shown = |mean: &&Mean| mean.of.metric == self.y && has_modality(&mean.of);
         let means: Vec<Mean> = all.iter().filter(is_shown).cloned().collect();
         if means.is_empty() {
