@@ -174,10 +174,12 @@ pub fn exp(x: f32) -> f32 {
     /// Adding and subtracting this number rounds to an integer.
     const ROUND: f32 = 12_582_912.0;
     let x = x.clamp(-87.0, 88.0);
-    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
+    let rounded = x * std::f32::consts::LOG2_E + ROUND;
+    let n = rounded - ROUND;
     let r = x - n * LN_2[0] - n * LN_2[1];
     let polynomial = COEFFICIENTS.iter().fold(0.0, |sum, coefficient| sum * r + coefficient);
-    let exponent = ((n as i32 + 127) << 23) as u32;
+    // The lowest bits of `rounded` are those of the integer `n`. A conversion of `n` would not be vectorized.
+    let exponent = rounded.to_bits().wrapping_add(127) << 23;
     (polynomial * r * r + r + 1.0) * f32::from_bits(exponent)
 }
 

@@ -15,8 +15,11 @@ const ROWS: usize = 6;
 /// Number of columns of a row that are packed before the next row, so that the panel's part stays in the nearest cache.
 const BLOCK: usize = 64;
 
+/// Most rows for which the matrix is packed only once. With more rows, a general product on the tile unit is faster.
+const FEW_ROWS: usize = 64;
+
 /// A matrix that is multiplied with a few rows at a time. A general product packs its operands each time. With few
-/// rows, this costs as much as the product, so the matrix is packed only once.
+/// rows, this costs as much as the product, so the matrix is packed only once, and multiplied on the vector units.
 pub struct Repeated<'a> {
     matrix: Matrix<'a>,
     arithmetic: Arithmetic,
@@ -26,10 +29,11 @@ pub struct Repeated<'a> {
 }
 
 impl<'a> Repeated<'a> {
-    /// Prepares `times` products with a matrix.
-    pub fn new(matrix: Matrix<'a>, times: usize, arithmetic: Arithmetic) -> Self {
-        let on_vectors = arithmetic == Arithmetic { unit: Unit::Vectors, precision: Precision::F32 };
-        let packed = on_vectors && times > 1;
+    /// Prepares `times` products of `rows` rows with a matrix. The rows may be multiplied in several parts.
+    pub fn new(matrix: Matrix<'a>, rows: usize, times: usize, arithmetic: Arithmetic) -> Self {
+        let packed = times > 1
+            && arithmetic.precision == Precision::F32
+            && (arithmetic.unit == Unit::Vectors || rows <= FEW_ROWS);
         Self { matrix, arithmetic, panels: if packed { panels(matrix) } else { Vec::new() } }
     }
 

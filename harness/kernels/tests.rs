@@ -141,7 +141,7 @@ fn repeated_products_are_the_same_bits_for_any_rows() {
         let arithmetic = Arithmetic { unit: Unit::Vectors, precision: Precision::F32 };
         for matrix in [Matrix::plain(&matrix, inner, columns), Matrix::transposed(&matrix, columns, inner)] {
             let in_parts = |part: usize, times: usize| {
-                let repeated = Repeated::new(matrix, times, arithmetic);
+                let repeated = Repeated::new(matrix, rows, times, arithmetic);
                 let mut out = vec![1.0; rows * columns];
                 for (left, out) in left.chunks(part * inner).zip(out.chunks_mut(part * columns)) {
                     repeated.add_product(left, out, 1);

@@ -180,12 +180,7 @@ impl Sizes {
             #[inline(always)]
             || {
                 for (((input, hidden), last), state) in rows {
-                    let ([ir, iz, i_n], [hr, hz, hn]) = (parts(input), parts(hidden));
-                    for unit in 0..width {
-                        let Gates { update, candidate, .. } =
-                            Gates::new([ir[unit], iz[unit], i_n[unit]], [hr[unit], hz[unit], hn[unit]]);
-                        state[unit] = candidate + update * (last[unit] - candidate);
-                    }
+                    next_state(parts(input), parts(hidden), last, state);
                 }
             },
         );
@@ -220,7 +215,7 @@ impl Sizes {
     fn forward(self, input: &[f32], packed: &[f32], start: &[f32], hidden: &mut [f32], states: &mut [f32]) {
         let (width, (weight, bias)) = (self.width, self.unpack(packed));
         let weight = Matrix::transposed(weight, 3 * width, width);
-        let recurrent = Repeated::new(weight, states.len() / self.state(), self.arithmetic);
+        let recurrent = Repeated::new(weight, self.batch, states.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
         let of_parts = parts.of_mut(hidden, 3 * width).into_par_iter().zip(parts.of_mut(states, width));
         of_parts.enumerate().for_each(|(part, (hidden, states))| {
@@ -245,7 +240,7 @@ impl Sizes {
     ) {
         let (width, (weight, _)) = (self.width, self.unpack(packed));
         let weight = Matrix::plain(weight, 3 * width, width);
-        let recurrent = Repeated::new(weight, grad.len() / self.state(), self.arithmetic);
+        let recurrent = Repeated::new(weight, self.batch, grad.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
         let of_gates =
             parts.of_mut(of_input, 3 * width).into_par_iter().zip(parts.of_mut(of_hidden, 3 * width));
@@ -328,6 +323,72 @@ impl CustomOp3 for Gru {
     }
 }
 
+/// Number of units that are computed at once: those of the widest vectors.
+const LANES: usize = 16;
+/// Values of units that are computed at once. They overlap with nothing, so the compiler vectorizes loops over them.
+type Lanes = [f32; LANES];
+
+/// Replaces the values of `wanted` by what `of_lanes` returns for the values of `given` and `wanted` at the same places.
+/// All have the same length. Past the end, `of_lanes` gets zeros.
+#[inline(always)]
+fn by_lanes<const GIVEN: usize, const WANTED: usize>(
+    given: [&[f32]; GIVEN],
+    mut wanted: [&mut [f32]; WANTED],
+    of_lanes: impl Fn([Lanes; GIVEN], [Lanes; WANTED]) -> [Lanes; WANTED],
+) {
+    let width = given.first().map_or(0, |values| values.len());
+    for first in (0..width).step_by(LANES) {
+        let (mut of_given, mut of_wanted) = ([[0.0; LANES]; GIVEN], [[0.0; LANES]; WANTED]);
+        for (lanes, values) in of_given.iter_mut().zip(given) {
+            *lanes = read(values, first);
+        }
+        for (lanes, values) in of_wanted.iter_mut().zip(&wanted) {
+            *lanes = read(values, first);
+        }
+        let lanes = of_lanes(of_given, of_wanted);
+        for (values, lanes) in wanted.iter_mut().zip(lanes) {
+            write(values, first, lanes);
+        }
+    }
+}
+
+/// Returns the values from `first` on, and zeros past the end.
+#[inline(always)]
+fn read(values: &[f32], first: usize) -> Lanes {
+    match values[first..].first_chunk() {
+        Some(lanes) => *lanes,
+        None => std::array::from_fn(|lane| values.get(first + lane).copied().unwrap_or_default()),
+    }
+}
+
+/// Writes the values from `first` on, except those past the end.
+#[inline(always)]
+fn write(values: &mut [f32], first: usize, lanes: Lanes) {
+    match values[first..].first_chunk_mut() {
+        Some(chunk) => *chunk = lanes,
+        None => values[first..].iter_mut().zip(lanes).for_each(|(value, lane)| *value = lane),
+    }
+}
+
+/// Computes the state of one sequence from the one before it.
+#[inline(always)]
+fn next_state([ir, iz, i_n]: [&[f32]; 3], [hr, hz, hn]: [&[f32]; 3], last: &[f32], state: &mut [f32]) {
+    by_lanes(
+        [ir, iz, i_n, hr, hz, hn, last],
+        [state],
+        #[inline(always)]
+        |[ir, iz, i_n, hr, hz, hn, last], _| {
+            let mut next = [0.0; LANES];
+            for lane in 0..LANES {
+                let Gates { update, candidate, .. } =
+                    Gates::new([ir[lane], iz[lane], i_n[lane]], [hr[lane], hz[lane], hn[lane]]);
+                next[lane] = candidate + update * (last[lane] - candidate);
+            }
+            [next]
+        },
+    );
+}
+
 /// Computes the gradients of one row. `grad` is the gradient of the next state, and is replaced by the part of the last
 /// state's gradient that does not pass through the hidden product.
 #[inline(always)]
@@ -337,19 +398,26 @@ fn row_gradients(
     [[of_ir, of_iz, of_in], [of_hr, of_hz, of_hn]]: [[&mut [f32]; 3]; 2],
     grad: &mut [f32],
 ) {
-    for unit in 0..last.len() {
-        let Gates { reset, update, candidate } =
-            Gates::new([ir[unit], iz[unit], i_n[unit]], [hr[unit], hz[unit], hn[unit]]);
-        // Gradients of the sums that the logistic functions and the hyperbolic tangent take.
-        let of_candidate = grad[unit] * (1.0 - update) * (1.0 - candidate * candidate);
-        let of_update = grad[unit] * (last[unit] - candidate) * update * (1.0 - update);
-        let of_reset = of_candidate * hn[unit] * reset * (1.0 - reset);
-        of_ir[unit] = of_reset;
-        of_hr[unit] = of_reset;
-        of_iz[unit] = of_update;
-        of_hz[unit] = of_update;
-        of_in[unit] = of_candidate;
-        of_hn[unit] = of_candidate * reset;
-        grad[unit] *= update;
-    }
+    let given = [ir, iz, i_n, hr, hz, hn, last];
+    let wanted = [of_ir, of_iz, of_in, of_hr, of_hz, of_hn, grad];
+    by_lanes(
+        given,
+        wanted,
+        #[inline(always)]
+        |[ir, iz, i_n, hr, hz, hn, last], [.., next]| {
+            // Gradients of the sums that the logistic functions and the hyperbolic tangent take.
+            let [mut of_reset, mut of_update, mut of_candidate] = [[0.0; LANES]; 3];
+            let [mut of_hidden, mut of_last] = [[0.0; LANES]; 2];
+            for lane in 0..LANES {
+                let Gates { reset, update, candidate } =
+                    Gates::new([ir[lane], iz[lane], i_n[lane]], [hr[lane], hz[lane], hn[lane]]);
+                of_candidate[lane] = next[lane] * (1.0 - update) * (1.0 - candidate * candidate);
+                of_update[lane] = next[lane] * (last[lane] - candidate) * update * (1.0 - update);
+                of_reset[lane] = of_candidate[lane] * hn[lane] * reset * (1.0 - reset);
+                of_hidden[lane] = of_candidate[lane] * reset;
+                of_last[lane] = next[lane] * update;
+            }
+            [of_reset, of_update, of_candidate, of_reset, of_update, of_hidden, of_last]
+        },
+    );
 }
