@@ -42,7 +42,7 @@ pub struct Buffer(Vec<f32>);
 /// Buffers that can be reused.
 static IDLE: Mutex<Vec<Vec<f32>>> = Mutex::new(Vec::new());
 /// Most buffers that are kept for reuse: as many as a training step needs.
-const MAX_IDLE: usize = 4;
+const MAX_IDLE: usize = 8;
 
 impl Buffer {
     /// Returns a buffer of `len` arbitrary values.

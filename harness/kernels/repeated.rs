@@ -7,6 +7,7 @@ use crate::matrix::{Accumulate, Matrix};
 use crate::product::{Arithmetic, Precision, Unit, product};
 use crate::simd;
 use pulp::{Simd, WithSimd};
+use rayon::prelude::*;
 
 /// Number of columns that are packed together.
 const PANEL: usize = 64;
@@ -63,7 +64,8 @@ fn panels(matrix: Matrix) -> Vec<[f32; PANEL]> {
     let (column_stride, row_stride) = matrix.strides();
     let (column_stride, row_stride) = (column_stride.unsigned_abs(), row_stride.unsigned_abs());
     let mut panels = vec![[0.0; PANEL]; columns.div_ceil(PANEL) * inner];
-    for (panel, first) in panels.chunks_exact_mut(inner).zip((0..columns).step_by(PANEL)) {
+    panels.par_chunks_exact_mut(inner).enumerate().for_each(|(index, panel)| {
+        let first = index * PANEL;
         for (block, rows) in panel.chunks_mut(BLOCK).enumerate() {
             for column in 0..PANEL.min(columns - first) {
                 let start = (first + column) * column_stride + block * BLOCK * row_stride;
@@ -71,7 +73,7 @@ fn panels(matrix: Matrix) -> Vec<[f32; PANEL]> {
                 rows.iter_mut().zip(values).for_each(|(row, value)| row[column] = *value);
             }
         }
-    }
+    });
     panels
 }
 

@@ -1,11 +1,11 @@
 //! A gated recurrent unit over whole sequences as one op.
 //!
 //! A step of the unit is a small matrix product. An op for each step, and its gradient, would cost more than the
-//! products. Here the product with the inputs of all steps is computed at once, before the op, and the gradients of the
-//! weights are products over all steps at once. The weight is packed once for all steps, and each thread takes its
-//! sequences through all of them, so that threads do not wait for each other at each step.
+//! products. Here the product with the inputs of all steps is computed at once, and the gradients of the weights are
+//! products over all steps at once. The weight of the product with the last state is packed once for all steps, and
+//! each thread takes its sequences through all of them, so that threads do not wait for each other at each step.
 
-use super::{Arithmetic, slice, tensor, threads, with_values};
+use super::{Arithmetic, linear, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use candle_nn::ops::sigmoid;
 use harness_kernels::product::{Accumulate, Matrix, product};
@@ -14,9 +14,10 @@ use harness_kernels::{self as kernels, Buffer, exp, simd};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// The weight `[3 * width, width]` and the bias `[3 * width]` of a unit's product with its last state.
-pub struct Recurrence<'a> {
-    /// The weight, with the rows of the gates r, z and n in this order.
+/// The weight `[3 * width, columns]` and the bias `[3 * width]` of one of a unit's products. The rows of the gates r, z
+/// and n follow one another.
+pub struct Gated<'a> {
+    /// The weight.
     pub weight: &'a Tensor,
     /// The bias.
     pub bias: &'a Tensor,
@@ -25,38 +26,43 @@ pub struct Recurrence<'a> {
 /// Returns the states of a gated recurrent unit over sequences, `[times * batch, width]` (Cho et al., 2014, in the form
 /// that PyTorch computes). Each is `n + z (state - n)`, where `state` is the one before it. The reset gate is `r =
 /// σ(input_r + hidden_r)`, the update gate `z = σ(input_z + hidden_z)`, and the candidate `n = tanh(input_n + r
-/// hidden_n)`.
+/// hidden_n)`. Here `input` is the product of the unit's inputs with their weight, and `hidden` that of the last state.
 ///
-/// `input` is the product of the unit's inputs with their weights, with biases: `[times * batch, 3 * width]`, the parts
-/// in the order r, z, n. The rows of one time lie together. `start` is the state before the first time, `[batch,
-/// width]`.
+/// `inputs` are `[times * batch, columns]`. The rows of one time lie together. `start` is the state before the first
+/// time, `[batch, width]`.
 ///
 /// # Errors
 /// When the shapes do not match.
 pub fn gru(
-    input: &Tensor,
-    Recurrence { weight, bias }: Recurrence,
+    inputs: &Tensor,
+    input: Gated,
+    hidden: Gated,
     start: &Tensor,
     arithmetic: Arithmetic,
 ) -> Result<Tensor> {
-    let ((rows, gates), (batch, width)) = (input.dims2()?, start.dims2()?);
-    let fits = gates == 3 * width && weight.dims() == [gates, width] && bias.dims() == [gates];
-    if !fits || batch == 0 || rows == 0 || rows % batch != 0 {
-        let shapes = [input, weight, bias, start].map(Tensor::dims);
-        bail!("input, weight, bias and start of the unit have the shapes {shapes:?}");
+    let ((rows, columns), (batch, width)) = (inputs.dims2()?, start.dims2()?);
+    let fits = |gated: &Gated, columns: usize| {
+        gated.weight.dims() == [3 * width, columns] && gated.bias.dims() == [3 * width]
+    };
+    if !fits(&input, columns) || !fits(&hidden, width) || batch == 0 || rows == 0 || rows % batch != 0 {
+        let shapes = [inputs, input.weight, input.bias, hidden.weight, hidden.bias, start].map(Tensor::dims);
+        bail!(
+            "the inputs, the weights and biases of input and state, and the start have the shapes {shapes:?}"
+        );
     }
     if start.device().is_cpu() {
-        // candle gives an op at most three arguments, so the weight and the bias are passed as one tensor.
-        let packed = Tensor::cat(&[&weight.flatten_all()?, bias], 0)?;
-        let op = Gru { sizes: Sizes { batch, width, arithmetic }, hidden: OnceLock::new() };
-        return input.contiguous()?.apply_op3(&packed, &start.contiguous()?, op);
+        // candle gives an op at most three arguments, so the parameters are passed as one tensor.
+        let flat = [&input.weight.flatten_all()?, input.bias, &hidden.weight.flatten_all()?, hidden.bias];
+        let op = Gru { sizes: Sizes { batch, columns, width, arithmetic }, products: OnceLock::new() };
+        return inputs.contiguous()?.apply_op3(&Tensor::cat(&flat, 0)?, &start.contiguous()?, op);
     }
+    let inputs = linear(inputs, input.weight, input.bias, false, arithmetic)?;
     let part = |gates: &Tensor, index: usize| gates.narrow(1, index * width, width);
     let mut states: Vec<Tensor> = Vec::with_capacity(rows / batch);
     for first in (0..rows).step_by(batch) {
         let state = states.last().unwrap_or(start);
-        let (input, hidden) =
-            (input.narrow(0, first, batch)?, state.matmul(&weight.t()?)?.broadcast_add(bias)?);
+        let input = inputs.narrow(0, first, batch)?;
+        let hidden = state.matmul(&hidden.weight.t()?)?.broadcast_add(hidden.bias)?;
         let reset = sigmoid(&(part(&input, 0)? + part(&hidden, 0)?)?)?;
         let update = sigmoid(&(part(&input, 1)? + part(&hidden, 1)?)?)?;
         let candidate = (part(&input, 2)? + (reset * part(&hidden, 2)?)?)?.tanh()?;
@@ -68,8 +74,29 @@ pub fn gru(
 
 struct Gru {
     sizes: Sizes,
-    /// The products with the last states, `[times * batch, 3 * width]`, kept for the backward pass.
-    hidden: OnceLock<Buffer>,
+    /// Kept for the backward pass.
+    products: OnceLock<Products>,
+}
+
+/// The products with the inputs and with the last states, or their gradients: `[times * batch, 3 * width]` each.
+struct Products {
+    input: Buffer,
+    hidden: Buffer,
+}
+
+impl Products {
+    /// Memory for products of so many rows, with arbitrary values.
+    fn new(rows: usize, width: usize) -> Self {
+        Self { input: Buffer::new(rows * 3 * width), hidden: Buffer::new(rows * 3 * width) }
+    }
+}
+
+/// The unit's parameters, or their gradients, in the order in which they lie in one tensor.
+struct Parameters<Values> {
+    input_weight: Values,
+    input_bias: Values,
+    hidden_weight: Values,
+    hidden_bias: Values,
 }
 
 /// Sizes of the op's matrices.
@@ -77,6 +104,8 @@ struct Gru {
 struct Sizes {
     /// Number of sequences.
     batch: usize,
+    /// Number of inputs of the unit.
+    columns: usize,
     /// Width of a state.
     width: usize,
     arithmetic: Arithmetic,
@@ -151,9 +180,22 @@ impl Sizes {
         self.batch * self.width
     }
 
-    /// Splits the packed parameters into weight and bias.
-    fn unpack(self, packed: &[f32]) -> (&[f32], &[f32]) {
-        packed.split_at(3 * self.width * self.width)
+    /// Splits the tensor of all parameters.
+    fn unpack(self, packed: &[f32]) -> Parameters<&[f32]> {
+        let gates = 3 * self.width;
+        let (input_weight, rest) = packed.split_at(gates * self.columns);
+        let (input_bias, rest) = rest.split_at(gates);
+        let (hidden_weight, hidden_bias) = rest.split_at(gates * self.width);
+        Parameters { input_weight, input_bias, hidden_weight, hidden_bias }
+    }
+
+    /// Does the same as [`Self::unpack`].
+    fn unpack_mut(self, packed: &mut [f32]) -> Parameters<&mut [f32]> {
+        let gates = 3 * self.width;
+        let (input_weight, rest) = packed.split_at_mut(gates * self.columns);
+        let (input_bias, rest) = rest.split_at_mut(gates);
+        let (hidden_weight, hidden_bias) = rest.split_at_mut(gates * self.width);
+        Parameters { input_weight, input_bias, hidden_weight, hidden_bias }
     }
 
     /// Returns how the sequences are divided into parts. Each thread takes one part through all times.
@@ -211,48 +253,81 @@ impl Sizes {
         recurrent.add_product(of_hidden, grad, threads());
     }
 
-    /// Computes the states of all times, `[times * batch, width]`, and the products with the states before them.
-    fn forward(self, input: &[f32], packed: &[f32], start: &[f32], hidden: &mut [f32], states: &mut [f32]) {
-        let (width, (weight, bias)) = (self.width, self.unpack(packed));
-        let weight = Matrix::transposed(weight, 3 * width, width);
+    /// Computes the states of all times, `[times * batch, width]`, and the products that they are computed from.
+    fn forward(
+        self,
+        inputs: &[f32],
+        packed: &[f32],
+        start: &[f32],
+        products: &mut Products,
+        states: &mut [f32],
+    ) {
+        let (width, gates, parameters) = (self.width, 3 * self.width, self.unpack(packed));
+        let Products { input, hidden } = products;
+        let rows = Matrix::plain(inputs, inputs.len() / self.columns, self.columns);
+        let weight = Matrix::transposed(parameters.input_weight, gates, self.columns);
+        product(rows, weight, input, Accumulate::Overwrite, self.arithmetic, threads());
+        kernels::add_bias(input, parameters.input_bias, false);
+
+        let weight = Matrix::transposed(parameters.hidden_weight, gates, width);
         let recurrent = Repeated::new(weight, self.batch, states.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
-        let of_parts = parts.of_mut(hidden, 3 * width).into_par_iter().zip(parts.of_mut(states, width));
+        let of_parts = parts.of_mut(hidden, gates).into_par_iter().zip(parts.of_mut(states, width));
         of_parts.enumerate().for_each(|(part, (hidden, states))| {
             let mut last = parts.of(start, width, part, 0);
             for (time, (hidden, states)) in hidden.into_iter().zip(states).enumerate() {
-                let input = parts.of(input, 3 * width, part, time);
-                self.step(input, (&recurrent, bias), last, hidden, states);
+                let input = parts.of(input, gates, part, time);
+                self.step(input, (&recurrent, parameters.hidden_bias), last, hidden, states);
                 last = states;
             }
         });
     }
 
-    /// Computes the gradients of the input, of the hidden products and of the first state. `grad` is the gradient of
-    /// all states.
+    /// Computes the gradients of the products and of the first state. `last` are the states before each time, and
+    /// `grad` is the gradient of all states.
     fn backward(
         self,
-        [input, hidden, last]: [&[f32]; 3],
-        packed: &[f32],
+        given: &Products,
+        last: &[f32],
+        hidden_weight: &[f32],
         grad: &[f32],
-        [of_input, of_hidden]: [&mut [f32]; 2],
-        of_state: &mut [f32],
+        of_products: &mut Products,
+        of_start: &mut [f32],
     ) {
-        let (width, (weight, _)) = (self.width, self.unpack(packed));
-        let weight = Matrix::plain(weight, 3 * width, width);
+        let (width, gates) = (self.width, 3 * self.width);
+        let weight = Matrix::plain(hidden_weight, gates, width);
         let recurrent = Repeated::new(weight, self.batch, grad.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
-        let of_gates =
-            parts.of_mut(of_input, 3 * width).into_par_iter().zip(parts.of_mut(of_hidden, 3 * width));
-        let of_parts = of_gates.zip(of_state.par_chunks_mut(parts.rows * width));
+        let of_gates = parts.of_mut(&mut of_products.input, gates).into_par_iter();
+        let of_gates = of_gates.zip(parts.of_mut(&mut of_products.hidden, gates));
+        let of_parts = of_gates.zip(of_start.par_chunks_mut(parts.rows * width));
         of_parts.enumerate().for_each(|(part, ((of_input, of_hidden), of_state))| {
             for (time, (of_input, of_hidden)) in of_input.into_iter().zip(of_hidden).enumerate().rev() {
-                let gates = |values| parts.of(values, 3 * width, part, time);
-                let given = [gates(input), gates(hidden), parts.of(last, width, part, time)];
+                let of_time = |values| parts.of(values, gates, part, time);
+                let given =
+                    [of_time(&given.input), of_time(&given.hidden), parts.of(last, width, part, time)];
                 kernels::add_to(of_state, parts.of(grad, width, part, time));
                 self.step_back(given, &recurrent, [of_input, of_hidden], of_state);
             }
         });
+    }
+
+    /// Returns the gradients of the parameters, in one vector.
+    fn parameter_gradients(self, of_products: &Products, inputs: &[f32], last: &[f32]) -> Vec<f32> {
+        let (width, gates, rows) = (self.width, 3 * self.width, last.len() / self.width);
+        let mut packed = kernels::scratch(gates * (self.columns + 1 + width + 1));
+        let wanted = self.unpack_mut(&mut packed);
+        let sides = [
+            (&of_products.input, inputs, self.columns, wanted.input_weight, wanted.input_bias),
+            (&of_products.hidden, last, width, wanted.hidden_weight, wanted.hidden_bias),
+        ];
+        for (of_gates, values, columns, of_weight, of_bias) in sides {
+            let (left, right) =
+                (Matrix::transposed(of_gates, rows, gates), Matrix::plain(values, rows, columns));
+            product(left, right, of_weight, Accumulate::Overwrite, self.arithmetic, threads());
+            of_bias.copy_from_slice(&kernels::column_sums(of_gates, gates));
+        }
+        packed
     }
 }
 
@@ -263,63 +338,59 @@ impl CustomOp3 for Gru {
 
     fn cpu_fwd(
         &self,
-        input: &CpuStorage,
-        input_layout: &Layout,
+        inputs: &CpuStorage,
+        inputs_layout: &Layout,
         packed: &CpuStorage,
         packed_layout: &Layout,
         start: &CpuStorage,
         start_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (rows, _) = input_layout.shape().dims2()?;
-        let (input, packed, start) =
-            (slice(input, input_layout)?, slice(packed, packed_layout)?, slice(start, start_layout)?);
+        let (rows, _) = inputs_layout.shape().dims2()?;
+        let (inputs, packed, start) =
+            (slice(inputs, inputs_layout)?, slice(packed, packed_layout)?, slice(start, start_layout)?);
         let width = self.sizes.width;
-        let (mut states, mut hidden) = (kernels::scratch(rows * width), Buffer::new(rows * 3 * width));
-        self.sizes.forward(input, packed, start, &mut hidden, &mut states);
-        self.hidden.get_or_init(|| hidden);
+        let (mut states, mut products) = (kernels::scratch(rows * width), Products::new(rows, width));
+        self.sizes.forward(inputs, packed, start, &mut products, &mut states);
+        self.products.get_or_init(|| products);
         Ok((CpuStorage::F32(states), (rows, width).into()))
     }
 
     fn bwd(
         &self,
-        input: &Tensor,
+        inputs: &Tensor,
         packed: &Tensor,
         start: &Tensor,
         states: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (sizes, rows) = (self.sizes, input.dim(0)?);
-        let Sizes { batch, width, arithmetic } = sizes;
+        let (sizes, rows) = (self.sizes, inputs.dim(0)?);
+        let Sizes { batch, columns, width, arithmetic } = sizes;
+        let Some(products) = self.products.get() else { bail!("the unit has no products to go back from") };
         // The state before each time.
         let last = Tensor::cat(&[start, &states.narrow(0, 0, rows - batch)?], 0)?;
-        let hidden = self.hidden.get().map(|hidden| &**hidden).unwrap_or_default();
-        let (mut of_input, mut of_hidden) =
-            (kernels::scratch(rows * 3 * width), kernels::scratch(rows * 3 * width));
-        let mut of_state = vec![0.0; sizes.state()];
+        let (mut of_products, mut of_start) = (Products::new(rows, width), vec![0.0; sizes.state()]);
         let of_packed = with_values(&last, |last| {
-            with_values(input, |input| {
+            with_values(grad, |grad| {
                 with_values(packed, |packed| {
-                    with_values(grad, |grad| {
-                        let given = [input, hidden, last];
-                        let wanted = [of_input.as_mut_slice(), &mut of_hidden];
-                        sizes.backward(given, packed, grad, wanted, &mut of_state);
-                        Ok(())
-                    })
+                    let weight = sizes.unpack(packed).hidden_weight;
+                    sizes.backward(products, last, weight, grad, &mut of_products, &mut of_start);
+                    Ok(())
                 })
             })?;
-            let mut of_packed = vec![0.0; packed.elem_count()];
-            let (of_weight, of_bias) = of_packed.split_at_mut(3 * width * width);
-            let (gates, last) =
-                (Matrix::transposed(&of_hidden, rows, 3 * width), Matrix::plain(last, rows, width));
-            product(gates, last, of_weight, Accumulate::Overwrite, arithmetic, threads());
-            of_bias.copy_from_slice(&kernels::column_sums(&of_hidden, 3 * width));
-            Ok(of_packed)
+            with_values(inputs, |inputs| Ok(sizes.parameter_gradients(&of_products, inputs, last)))
         })?;
-        Ok((
-            Some(tensor(of_input, (rows, 3 * width))?),
-            Some(tensor(of_packed, packed.shape())?),
-            Some(tensor(of_state, (batch, width))?),
-        ))
+        let of_inputs = inputs.track_op().then(|| {
+            let mut of_inputs = kernels::scratch(rows * columns);
+            with_values(packed, |packed| {
+                let weight = Matrix::plain(sizes.unpack(packed).input_weight, 3 * width, columns);
+                let of_gates = Matrix::plain(&of_products.input, rows, 3 * width);
+                product(of_gates, weight, &mut of_inputs, Accumulate::Overwrite, arithmetic, threads());
+                Ok(())
+            })?;
+            tensor(of_inputs, (rows, columns))
+        });
+        let of_packed = tensor(of_packed, packed.shape())?;
+        Ok((of_inputs.transpose()?, Some(of_packed), Some(tensor(of_start, (batch, width))?)))
     }
 }
 

@@ -21,7 +21,7 @@ pub use adam::Adam;
 pub use dropout::Dropout;
 pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
-pub use gru::{Recurrence, gru};
+pub use gru::{Gated, gru};
 pub use linear::linear;
 pub use posterior::{kl_divergence, sample};
 pub use stack::Stack;

@@ -5,7 +5,7 @@ use harness_judge::{MetricRow, Persistence, Predictor, Test, judge};
 use harness_learning::network::{Network as Predicting, Posterior, Seen, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
-use harness_ops::{Arithmetic, Recurrence, gru};
+use harness_ops::{Arithmetic, Gated, gru};
 use harness_spec::WindowStart;
 
 /// All kinds of memory.
@@ -51,28 +51,55 @@ fn settings() -> Training {
 
 #[test]
 fn a_gated_recurrent_unit_is_that_of_its_formula() {
+    // The units of 37 are two whole vectors of 16 and a part of one.
+    for width in [5, 37] {
+        assert_unit(width);
+    }
+    // Large values saturate the gates.
+    let of = |value: f32, shape: &[usize]| Tensor::full(value, shape, &Device::Cpu).unwrap();
+    let (weight, bias) = (of(0.0, &[3, 1]), of(200.0, &[3]));
+    let kept = |input: &Tensor| {
+        let [input_gates, hidden] = [0; 2].map(|_| Gated { weight: &weight, bias: &bias });
+        gru(input, input_gates, hidden, &of(1.0, &[1, 1]), Arithmetic::best())
+    };
+    assert_eq!(kept(&of(1.0, &[2, 1])).unwrap().to_vec2::<f32>().unwrap(), [[1.0], [1.0]]);
+    assert!(kept(&of(0.0, &[1, 2])).is_err());
+}
+
+/// Compares the states of a gated recurrent unit with its formula, and its gradients with finite differences.
+fn assert_unit(width: usize) {
     let mut random = random(7);
-    let (times, batch, width) = (4, 3, 5);
-    let shapes = [&[times * batch, 3 * width][..], &[3 * width, width], &[3 * width], &[batch, width]];
+    let (times, batch, columns) = (4, 3, 2);
+    let gates = 3 * width;
+    let shapes = [
+        &[times * batch, columns][..],
+        &[gates, columns],
+        &[gates],
+        &[gates, width],
+        &[gates],
+        &[batch, width],
+    ];
     let given = shapes.map(|shape| variable(&mut random, shape));
     let units = |given: &[Tensor]| {
-        let recurrence = Recurrence { weight: &given[1], bias: &given[2] };
-        gru(&given[0], recurrence, &given[3], Arithmetic::best())
+        let [input, hidden] = [1, 3].map(|first| Gated { weight: &given[first], bias: &given[first + 1] });
+        gru(&given[0], input, hidden, &given[5], Arithmetic::best())
     };
     let states =
         units(&given.each_ref().map(|var| var.as_tensor().clone())).unwrap().to_vec2::<f32>().unwrap();
-    let [input, weight, start] = [0, 1, 3].map(|index| given[index].to_vec2::<f32>().unwrap());
-    let bias = given[2].to_vec1::<f32>().unwrap();
+    let [inputs, input_weight, hidden_weight, start] =
+        [0, 1, 3, 5].map(|index| given[index].to_vec2::<f32>().unwrap());
+    let [input_bias, hidden_bias] = [2, 4].map(|index| given[index].to_vec1::<f32>().unwrap());
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
+    let product = |weight: &[f32], values: &[f32], bias: f32| -> f64 {
+        let products = weight.iter().zip(values).map(|(w, x)| f64::from(*w) * f64::from(*x));
+        products.sum::<f64>() + f64::from(bias)
+    };
     for row in 0..times * batch {
         let last = if row < batch { &start[row] } else { &states[row - batch] };
         for unit in 0..width {
-            let of = |part: usize| f64::from(input[row][part * width + unit]);
-            let hidden = |part: usize| -> f64 {
-                let gate = part * width + unit;
-                let products = weight[gate].iter().zip(last).map(|(w, x)| f64::from(*w) * f64::from(*x));
-                products.sum::<f64>() + f64::from(bias[gate])
-            };
+            let gate = |part: usize| part * width + unit;
+            let of = |part: usize| product(&input_weight[gate(part)], &inputs[row], input_bias[gate(part)]);
+            let hidden = |part: usize| product(&hidden_weight[gate(part)], last, hidden_bias[gate(part)]);
             let reset = logistic(of(0) + hidden(0));
             let update = logistic(of(1) + hidden(1));
             let candidate = (of(2) + reset * hidden(2)).tanh();
@@ -81,15 +108,6 @@ fn a_gated_recurrent_unit_is_that_of_its_formula() {
         }
     }
     assert_gradients(&given, units);
-    // Large values saturate the gates.
-    let of = |value: f32, shape: &[usize]| Tensor::full(value, shape, &Device::Cpu).unwrap();
-    let (weight, bias) = (of(0.0, &[3, 1]), of(200.0, &[3]));
-    let kept = |input: &Tensor| {
-        let recurrence = Recurrence { weight: &weight, bias: &bias };
-        gru(input, recurrence, &of(1.0, &[1, 1]), Arithmetic::best())
-    };
-    assert_eq!(kept(&of(200.0, &[2, 3])).unwrap().to_vec2::<f32>().unwrap(), [[1.0], [1.0]]);
-    assert!(kept(&of(0.0, &[1, 4])).is_err());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::layers::{Builder, Dense};
 use super::unit::{Inputs, JOINED, Steps, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
 use candle_core::{Result, Tensor};
-use harness_ops::{self as ops, Arithmetic, Recurrence};
+use harness_ops::{self as ops, Arithmetic, Gated};
 
 /// Name of a unit's product with its input.
 const INPUT: &str = "input";
@@ -42,9 +42,9 @@ impl Cell {
     /// Returns the unit's states, `[times * batch, width]`, for inputs that follow one another. `last` is the state
     /// before the first time, `[batch, width]`.
     pub fn states(&self, inputs: &Tensor, last: &Tensor) -> Result<Tensor> {
-        let inputs = self.input.forward(inputs, false, self.arithmetic)?;
-        let recurrence = Recurrence { weight: &self.hidden.weight, bias: &self.hidden.bias };
-        ops::gru(&inputs, recurrence, last, self.arithmetic)
+        let [input, hidden] =
+            [&self.input, &self.hidden].map(|dense| Gated { weight: &dense.weight, bias: &dense.bias });
+        ops::gru(inputs, input, hidden, last, self.arithmetic)
     }
 
     pub fn detached(&self) -> Self {
