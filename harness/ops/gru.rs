@@ -399,8 +399,8 @@ const LANES: usize = 16;
 /// Values of units that are computed at once. They overlap with nothing, so the compiler vectorizes loops over them.
 type Lanes = [f32; LANES];
 
-/// Replaces the values of `wanted` by what `of_lanes` returns for the values of `given` and `wanted` at the same places.
-/// All have the same length. Past the end, `of_lanes` gets zeros.
+/// Replaces the values of `wanted` by what `of_lanes` returns for the values of `given` and `wanted` at the same
+/// places. All have the same length. Past the end, `of_lanes` gets zeros.
 #[inline(always)]
 fn by_lanes<const GIVEN: usize, const WANTED: usize>(
     given: [&[f32]; GIVEN],
