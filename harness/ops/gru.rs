@@ -91,14 +91,6 @@ impl Products {
     }
 }
 
-/// The unit's parameters, or their gradients, in the order in which they lie in one tensor.
-struct Parameters<Values> {
-    input_weight: Values,
-    input_bias: Values,
-    hidden_weight: Values,
-    hidden_bias: Values,
-}
-
 /// Sizes of the op's matrices.
 #[derive(Clone, Copy)]
 struct Sizes {
@@ -180,22 +172,15 @@ impl Sizes {
         self.batch * self.width
     }
 
-    /// Splits the tensor of all parameters.
-    fn unpack(self, packed: &[f32]) -> Parameters<&[f32]> {
-        let gates = 3 * self.width;
-        let (input_weight, rest) = packed.split_at(gates * self.columns);
-        let (input_bias, rest) = rest.split_at(gates);
-        let (hidden_weight, hidden_bias) = rest.split_at(gates * self.width);
-        Parameters { input_weight, input_bias, hidden_weight, hidden_bias }
+    /// Number of values in the weight and the bias of the product with the inputs. Those of the other product follow.
+    fn of_inputs(self) -> usize {
+        3 * self.width * (self.columns + 1)
     }
 
-    /// Does the same as [`Self::unpack`].
-    fn unpack_mut(self, packed: &mut [f32]) -> Parameters<&mut [f32]> {
-        let gates = 3 * self.width;
-        let (input_weight, rest) = packed.split_at_mut(gates * self.columns);
-        let (input_bias, rest) = rest.split_at_mut(gates);
-        let (hidden_weight, hidden_bias) = rest.split_at_mut(gates * self.width);
-        Parameters { input_weight, input_bias, hidden_weight, hidden_bias }
+    /// Returns the weight and the bias of the product with the inputs, and those of the product with the last state.
+    fn unpack(self, packed: &[f32]) -> [(&[f32], &[f32]); 2] {
+        let (input, hidden) = packed.split_at(self.of_inputs());
+        [input.split_at(3 * self.width * self.columns), hidden.split_at(3 * self.width * self.width)]
     }
 
     /// Returns how the sequences are divided into parts. Each thread takes one part through all times.
@@ -262,14 +247,14 @@ impl Sizes {
         products: &mut Products,
         states: &mut [f32],
     ) {
-        let (width, gates, parameters) = (self.width, 3 * self.width, self.unpack(packed));
-        let Products { input, hidden } = products;
+        let (width, gates, Products { input, hidden }) = (self.width, 3 * self.width, products);
+        let [(input_weight, input_bias), (hidden_weight, hidden_bias)] = self.unpack(packed);
         let rows = Matrix::plain(inputs, inputs.len() / self.columns, self.columns);
-        let weight = Matrix::transposed(parameters.input_weight, gates, self.columns);
+        let weight = Matrix::transposed(input_weight, gates, self.columns);
         product(rows, weight, input, Accumulate::Overwrite, self.arithmetic, threads());
-        kernels::add_bias(input, parameters.input_bias, false);
+        kernels::add_bias(input, input_bias, false);
 
-        let weight = Matrix::transposed(parameters.hidden_weight, gates, width);
+        let weight = Matrix::transposed(hidden_weight, gates, width);
         let recurrent = Repeated::new(weight, self.batch, states.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
         let of_parts = parts.of_mut(hidden, gates).into_par_iter().zip(parts.of_mut(states, width));
@@ -277,7 +262,7 @@ impl Sizes {
             let mut last = parts.of(start, width, part, 0);
             for (time, (hidden, states)) in hidden.into_iter().zip(states).enumerate() {
                 let input = parts.of(input, gates, part, time);
-                self.step(input, (&recurrent, parameters.hidden_bias), last, hidden, states);
+                self.step(input, (&recurrent, hidden_bias), last, hidden, states);
                 last = states;
             }
         });
@@ -315,16 +300,17 @@ impl Sizes {
     /// Returns the gradients of the parameters, in one vector.
     fn parameter_gradients(self, of_products: &Products, inputs: &[f32], last: &[f32]) -> Vec<f32> {
         let (width, gates, rows) = (self.width, 3 * self.width, last.len() / self.width);
-        let mut packed = kernels::scratch(gates * (self.columns + 1 + width + 1));
-        let wanted = self.unpack_mut(&mut packed);
+        let mut packed = kernels::scratch(self.of_inputs() + gates * (width + 1));
+        let (of_input, of_hidden) = packed.split_at_mut(self.of_inputs());
         let sides = [
-            (&of_products.input, inputs, self.columns, wanted.input_weight, wanted.input_bias),
-            (&of_products.hidden, last, width, wanted.hidden_weight, wanted.hidden_bias),
+            (&of_products.input, inputs, self.columns, of_input),
+            (&of_products.hidden, last, width, of_hidden),
         ];
-        for (of_gates, values, columns, of_weight, of_bias) in sides {
-            let (left, right) =
-                (Matrix::transposed(of_gates, rows, gates), Matrix::plain(values, rows, columns));
-            product(left, right, of_weight, Accumulate::Overwrite, self.arithmetic, threads());
+        for (of_gates, values, columns, wanted) in sides {
+            let (of_weight, of_bias) = wanted.split_at_mut(gates * columns);
+            let of_rows = Matrix::transposed(of_gates, rows, gates);
+            let values = Matrix::plain(values, rows, columns);
+            product(of_rows, values, of_weight, Accumulate::Overwrite, self.arithmetic, threads());
             of_bias.copy_from_slice(&kernels::column_sums(of_gates, gates));
         }
         packed
@@ -372,7 +358,7 @@ impl CustomOp3 for Gru {
         let of_packed = with_values(&last, |last| {
             with_values(grad, |grad| {
                 with_values(packed, |packed| {
-                    let weight = sizes.unpack(packed).hidden_weight;
+                    let [_, (weight, _)] = sizes.unpack(packed);
                     sizes.backward(products, last, weight, grad, &mut of_products, &mut of_start);
                     Ok(())
                 })
@@ -382,7 +368,8 @@ impl CustomOp3 for Gru {
         let of_inputs = inputs.track_op().then(|| {
             let mut of_inputs = kernels::scratch(rows * columns);
             with_values(packed, |packed| {
-                let weight = Matrix::plain(sizes.unpack(packed).input_weight, 3 * width, columns);
+                let [(weight, _), _] = sizes.unpack(packed);
+                let weight = Matrix::plain(weight, 3 * width, columns);
                 let of_gates = Matrix::plain(&of_products.input, rows, 3 * width);
                 product(of_gates, weight, &mut of_inputs, Accumulate::Overwrite, arithmetic, threads());
                 Ok(())
