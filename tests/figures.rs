@@ -101,12 +101,27 @@ fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
 fn a_figure_with_too_many_series_leaves_out_ridge() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let out = fresh("figures_without_ridge");
-    let more = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
-    succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
-    let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
+    let drawn = |roles: &[&str]| {
+        let roles: Vec<String> = roles.iter().map(|role| format!("variant=role={role}")).collect();
+        let chosen: Vec<&str> = roles.iter().flat_map(|role| ["--where", role]).collect();
+        let options = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
+        succeed(&reference, &[&["figures", "horizon"], &options[..], &chosen].concat());
+        words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap())
+    };
+    let vectors = ["angles", "angles_now", "angles_and_arm", "angles_and_arm_now", "angles_and_arm_short"];
+    let more = ["angles_arm_and_touch", "angles_and_camera", "angles_and_camera_now"];
+    let words = drawn(&[&vectors[..], &more, &["angles,memory=none,model=simulator"]].concat());
     assert!(words.iter().any(|text| text.ends_with("more than 12 series: ridge")), "{words:?}");
     assert!(!words.iter().any(|text| text.ends_with(", ridge")), "{words:?}");
     assert!(words.contains("angles_and_camera") && words.contains("training mean"), "{words:?}");
+    // The networks of these roles and persistence are 12 series.
+    let all = ["angles_window", "angles_and_arm_window", "all_senses"];
+    let words = drawn(&[&vectors[..], &more, &all].concat());
+    assert!(
+        words.iter().any(|text| text.ends_with("more than 12 series: ridge, training mean")),
+        "{words:?}"
+    );
+    assert!(words.contains("all_senses") && words.contains("persistence"), "{words:?}");
 }
 
 #[test]

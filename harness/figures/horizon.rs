@@ -55,7 +55,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let by: Vec<Key> = [Key::Latent, Key::Variant, Key::Settings].into_iter().filter(differ).collect();
     let horizons: Vec<usize> = horizons.into_iter().collect();
     let seconds = analysis.sample_rate_hz().map(|rate| 1.0 / rate);
-    let draw = |left_out: Option<&str>| {
+    let draw = |left_out: &[&str]| {
         let rows = [error, Metric::Skill].map(|metric| {
             let plot = Plot {
                 x: Key::Horizon,
@@ -67,16 +67,21 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
                 models: models::ALL.map(str::to_owned).to_vec(),
             };
             let is_of_row =
-                |mean: &&Mean| mean.of.metric == metric.name() && Some(mean.of.model.as_str()) != left_out;
+                |mean: &&Mean| mean.of.metric == metric.name() && !left_out.contains(&mean.of.model.as_str());
             Row { plot, means: shown.iter().filter(is_of_row).cloned().collect() }
         });
         draw_rows(&rows, left_out, &labels, &horizons, seconds)
     };
-    match draw(None) {
-        // Each input has its own ridge regression. The other baselines have one line each.
-        Err(FigureError::TooMany { .. }) => draw(Some(models::RIDGE)),
-        drawn => drawn,
+    // Each input has its own ridge regression. The other baselines have one line each. That of the training mean says
+    // least, because it is at an R² of about 0.
+    let is_too_much = |drawn: &Result<_, FigureError>| matches!(drawn, Err(FigureError::TooMany { .. }));
+    let mut drawn = draw(&[]);
+    for left_out in [&[models::RIDGE][..], &[models::RIDGE, models::TRAINING_MEAN]] {
+        if is_too_much(&drawn) {
+            drawn = draw(left_out);
+        }
     }
+    drawn
 }
 
 /// A row of panels, which shows one metric.
@@ -85,11 +90,11 @@ struct Row {
     means: Vec<Mean>,
 }
 
-/// Draws the rows, without the model that was left out. `horizons` are in samples, of which each takes `seconds`, if
+/// Draws the rows, without the models that were left out. `horizons` are in samples, of which each takes `seconds`, if
 /// that is known.
 fn draw_rows(
     rows: &[Row; 2],
-    left_out: Option<&str>,
+    left_out: &[&str],
     labels: &Labels,
     horizons: &[usize],
     seconds: Option<f64>,
@@ -120,8 +125,9 @@ fn draw_rows(
         |place: usize| rows[place].plot.beyond(&all[place], &panels, &named, &scales[place]([0.0, 1.0]));
     let persistence =
         "skill: 1 \u{2212} squared error / that of persistence; gray line: persistence".to_owned();
-    let missing =
-        left_out.map(|model| format!("not shown, because of more than {MOST_SERIES} series: {model}"));
+    let absent: Vec<String> = left_out.iter().map(|model| model.replace('_', " ")).collect();
+    let missing = (!absent.is_empty())
+        .then(|| format!("not shown, because of more than {MOST_SERIES} series: {}", absent.join(", ")));
     let noted = notes(&errors.means, &[beyond(0), beyond(1)].concat(), &scales[0]([0.0, 1.0]));
     let remarked: Vec<String> = [persistence].into_iter().chain(missing).chain(noted).collect();
 

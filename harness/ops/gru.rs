@@ -173,13 +173,13 @@ impl Sizes {
     }
 
     /// Number of values in the weight and the bias of the product with the inputs. Those of the other product follow.
-    fn of_inputs(self) -> usize {
+    fn input_len(self) -> usize {
         3 * self.width * (self.columns + 1)
     }
 
     /// Returns the weight and the bias of the product with the inputs, and those of the product with the last state.
     fn unpack(self, packed: &[f32]) -> [(&[f32], &[f32]); 2] {
-        let (input, hidden) = packed.split_at(self.of_inputs());
+        let (input, hidden) = packed.split_at(self.input_len());
         [input.split_at(3 * self.width * self.columns), hidden.split_at(3 * self.width * self.width)]
     }
 
@@ -300,8 +300,8 @@ impl Sizes {
     /// Returns the gradients of the parameters, in one vector.
     fn parameter_gradients(self, of_products: &Products, inputs: &[f32], last: &[f32]) -> Vec<f32> {
         let (width, gates, rows) = (self.width, 3 * self.width, last.len() / self.width);
-        let mut packed = kernels::scratch(self.of_inputs() + gates * (width + 1));
-        let (of_input, of_hidden) = packed.split_at_mut(self.of_inputs());
+        let mut packed = kernels::scratch(self.input_len() + gates * (width + 1));
+        let (of_input, of_hidden) = packed.split_at_mut(self.input_len());
         let sides = [
             (&of_products.input, inputs, self.columns, of_input),
             (&of_products.hidden, last, width, of_hidden),

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 const EPOCHS: usize = 100;
 /// Target for the number of epochs of all trainings together. If there are many trainings, the long ones have fewer
 /// epochs, but at least [`FEWEST_EPOCHS`].
-const ALL_EPOCHS: usize = 23_000;
+const ALL_EPOCHS: usize = 22_500;
 /// Least number of epochs per training in the page, if the training has as many.
 const FEWEST_EPOCHS: usize = 10;
 
