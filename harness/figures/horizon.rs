@@ -74,10 +74,9 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     };
     // Each input has its own ridge regression. The other baselines have one line each. That of the training mean says
     // least, because it is at an R² of about 0.
-    let is_too_much = |drawn: &Result<_, FigureError>| matches!(drawn, Err(FigureError::TooMany { .. }));
     let mut drawn = draw(&[]);
     for left_out in [&[models::RIDGE][..], &[models::RIDGE, models::TRAINING_MEAN]] {
-        if is_too_much(&drawn) {
+        if matches!(drawn, Err(FigureError::TooMany { .. })) {
             drawn = draw(left_out);
         }
     }

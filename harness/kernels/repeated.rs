@@ -4,7 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use crate::matrix::{Accumulate, Matrix};
-use crate::product::{Arithmetic, Precision, Unit, product};
+use crate::product::{Arithmetic, Precision, product};
 use crate::simd;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -15,9 +15,6 @@ const PANEL: usize = 64;
 const ROWS: usize = 6;
 /// Number of columns of a row that are packed before the next row, so that the panel's part stays in the nearest cache.
 const BLOCK: usize = 64;
-
-/// Most rows for which the matrix is packed only once. With more rows, a general product on the tile unit is faster.
-const FEW_ROWS: usize = 64;
 
 /// A matrix that is multiplied with a few rows at a time. A general product packs its operands each time. With few
 /// rows, this costs as much as the product, so the matrix is packed only once, and multiplied on the vector units.
@@ -30,11 +27,9 @@ pub struct Repeated<'a> {
 }
 
 impl<'a> Repeated<'a> {
-    /// Prepares `times` products of `rows` rows with a matrix. The rows may be multiplied in several parts.
-    pub fn new(matrix: Matrix<'a>, rows: usize, times: usize, arithmetic: Arithmetic) -> Self {
-        let packed = times > 1
-            && arithmetic.precision == Precision::F32
-            && (arithmetic.unit == Unit::Vectors || rows <= FEW_ROWS);
+    /// Prepares `times` products with a matrix.
+    pub fn new(matrix: Matrix<'a>, times: usize, arithmetic: Arithmetic) -> Self {
+        let packed = times > 1 && arithmetic.precision == Precision::F32;
         Self { matrix, arithmetic, panels: if packed { panels(matrix) } else { Vec::new() } }
     }
 

@@ -141,7 +141,7 @@ fn repeated_products_are_the_same_bits_for_any_rows() {
         for matrix in [Matrix::plain(&matrix, inner, columns), Matrix::transposed(&matrix, columns, inner)] {
             let in_parts = |part: usize, times: usize, unit: Unit| {
                 let arithmetic = Arithmetic { unit, precision: Precision::F32 };
-                let repeated = Repeated::new(matrix, rows, times, arithmetic);
+                let repeated = Repeated::new(matrix, times, arithmetic);
                 let mut out = vec![1.0; rows * columns];
                 for (left, out) in left.chunks(part * inner).zip(out.chunks_mut(part * columns)) {
                     repeated.add_product(left, out, 1);
@@ -149,7 +149,7 @@ fn repeated_products_are_the_same_bits_for_any_rows() {
                 out
             };
             let (all, general) = (in_parts(rows, 2, Unit::Vectors), in_parts(rows, 1, Unit::Vectors));
-            // A few rows are multiplied on the vector units in any case.
+            // They are multiplied on the vector units in any case.
             assert!(in_parts(rows, 2, Unit::best()) == all, "{rows} x {inner} x {columns} on the best unit");
             for part in 1..rows {
                 assert!(

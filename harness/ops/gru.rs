@@ -255,7 +255,7 @@ impl Sizes {
         kernels::add_bias(input, input_bias, false);
 
         let weight = Matrix::transposed(hidden_weight, gates, width);
-        let recurrent = Repeated::new(weight, self.batch, states.len() / self.state(), self.arithmetic);
+        let recurrent = Repeated::new(weight, states.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
         let of_parts = parts.of_mut(hidden, gates).into_par_iter().zip(parts.of_mut(states, width));
         of_parts.enumerate().for_each(|(part, (hidden, states))| {
@@ -281,7 +281,7 @@ impl Sizes {
     ) {
         let (width, gates) = (self.width, 3 * self.width);
         let weight = Matrix::plain(hidden_weight, gates, width);
-        let recurrent = Repeated::new(weight, self.batch, grad.len() / self.state(), self.arithmetic);
+        let recurrent = Repeated::new(weight, grad.len() / self.state(), self.arithmetic);
         let parts = self.parts(&recurrent);
         let of_gates = parts.of_mut(&mut of_products.input, gates).into_par_iter();
         let of_gates = of_gates.zip(parts.of_mut(&mut of_products.hidden, gates));
