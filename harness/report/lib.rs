@@ -466,5 +466,10 @@ fn policy() -> String {
 
 /// Rounds to five significant digits. A chart can't show more, and the page's data are half as large.
 fn short(value: f64) -> f64 {
-    format!("{value:.4e}").parse().unwrap_or(value)
+    rounded(value, 5)
+}
+
+/// Rounds to so many significant digits.
+fn rounded(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
 }

@@ -1,6 +1,6 @@
 //! Collects the losses of trainings by epoch.
 
-use super::{Asked, short};
+use super::{Asked, rounded};
 use harness_catalog::{QueryError, RunTable};
 use harness_registry::{Registry, RunRecord, Status};
 use harness_spec::RunSpec;
@@ -13,7 +13,9 @@ use std::collections::BTreeMap;
 const EPOCHS: usize = 100;
 /// Target for the number of epochs of all trainings together. If there are many trainings, the long ones have fewer
 /// epochs, but at least [`FEWEST_EPOCHS`].
-const ALL_EPOCHS: usize = 22_500;
+const ALL_EPOCHS: usize = 25_000;
+/// Significant digits of a loss. Losses are most of the page's data.
+const DIGITS: usize = 4;
 /// Least number of epochs per training in the page, if the training has as many.
 const FEWEST_EPOCHS: usize = 10;
 
@@ -108,7 +110,7 @@ impl Curves {
             let Ok(place) = epochs.binary_search(&row.epoch) else { continue };
             let splits = terms.entry(row.term.to_owned()).or_default();
             let values = splits.entry(row.split.to_owned()).or_insert_with(|| vec![None; epochs.len()]);
-            values[place] = row.value.map(short);
+            values[place] = row.value.map(|value| rounded(value, DIGITS));
         }
         Self { experiment: experiment.to_owned(), run: run.to_owned(), task: task.to_owned(), epochs, terms }
     }
