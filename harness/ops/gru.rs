@@ -57,19 +57,23 @@ pub fn gru(
         return inputs.contiguous()?.apply_op3(&Tensor::cat(&flat, 0)?, &start.contiguous()?, op);
     }
     let inputs = linear(inputs, input.weight, input.bias, false, arithmetic)?;
-    let part = |gates: &Tensor, index: usize| gates.narrow(1, index * width, width);
     let mut states: Vec<Tensor> = Vec::with_capacity(rows / batch);
     for first in (0..rows).step_by(batch) {
         let state = states.last().unwrap_or(start);
-        let input = inputs.narrow(0, first, batch)?;
         let hidden = state.matmul(&hidden.weight.t()?)?.broadcast_add(hidden.bias)?;
-        let reset = sigmoid(&(part(&input, 0)? + part(&hidden, 0)?)?)?;
-        let update = sigmoid(&(part(&input, 1)? + part(&hidden, 1)?)?)?;
-        let candidate = (part(&input, 2)? + (reset * part(&hidden, 2)?)?)?.tanh()?;
-        let next = (&candidate + (update * (state - &candidate)?)?)?;
-        states.push(next);
+        states.push(composed(&inputs.narrow(0, first, batch)?, &hidden, state)?);
     }
     Tensor::cat(&states, 0)
+}
+
+/// Computes the states of one time by candle's operations, from the products with the inputs and with the last states.
+pub(super) fn composed(input: &Tensor, hidden: &Tensor, last: &Tensor) -> Result<Tensor> {
+    let width = last.dim(1)?;
+    let part = |gates: &Tensor, index: usize| gates.narrow(1, index * width, width);
+    let reset = sigmoid(&(part(input, 0)? + part(hidden, 0)?)?)?;
+    let update = sigmoid(&(part(input, 1)? + part(hidden, 1)?)?)?;
+    let candidate = (part(input, 2)? + (reset * part(hidden, 2)?)?)?.tanh()?;
+    &candidate + (update * (last - &candidate)?)?
 }
 
 struct Gru {
@@ -103,32 +107,52 @@ struct Sizes {
     arithmetic: Arithmetic,
 }
 
-/// The division of sequences into parts. Values are `[times * batch, columns]`, the rows of one time together.
+/// The division of sequences into parts, each of which one thread takes through all times. Values are
+/// `[times * batch, columns]`, the rows of one time together.
 #[derive(Clone, Copy)]
-struct Parts {
+pub(super) struct Parts {
     /// Number of sequences.
     batch: usize,
     /// Number of sequences in a part; the last one may have fewer.
-    rows: usize,
+    pub rows: usize,
 }
 
 impl Parts {
+    /// Returns the division of `batch` sequences for a product at each time.
+    pub fn new(batch: usize, recurrent: &Repeated) -> Self {
+        Self { batch, rows: batch.div_ceil(recurrent.parts(threads()).min(batch)) }
+    }
+
     /// Returns the values of a part at one time.
-    fn of(self, values: &[f32], columns: usize, part: usize, time: usize) -> &[f32] {
+    pub fn of(self, values: &[f32], columns: usize, part: usize, time: usize) -> &[f32] {
         let first = part * self.rows;
         let last = self.batch.min(first + self.rows);
         &values[(time * self.batch + first) * columns..(time * self.batch + last) * columns]
     }
 
-    /// Returns the values of each part at each time.
-    fn of_mut(self, values: &mut [f32], columns: usize) -> Vec<Vec<&mut [f32]>> {
+    /// Returns the values of each part at each time, for several matrices with their numbers of columns.
+    pub fn of_mut<'a, const N: usize>(
+        self,
+        matrices: [(&'a mut [f32], usize); N],
+    ) -> Vec<Vec<[&'a mut [f32]; N]>> {
         let mut parts: Vec<_> = (0..self.batch.div_ceil(self.rows)).map(|_| Vec::new()).collect();
-        for time in values.chunks_exact_mut(self.batch * columns) {
-            let of_time = time.chunks_mut(self.rows * columns);
-            parts.iter_mut().zip(of_time).for_each(|(part, values)| part.push(values));
+        let mut times = matrices.map(|(values, columns)| {
+            let times = values.chunks_exact_mut(self.batch * columns);
+            times.map(move |time| time.chunks_mut(self.rows * columns))
+        });
+        while let Some(mut time) = all(times.each_mut().map(Iterator::next)) {
+            for part in &mut parts {
+                part.extend(all(time.each_mut().map(Iterator::next)));
+            }
         }
         parts
     }
+}
+
+/// Returns the values if there are all.
+fn all<T, const N: usize>(values: [Option<T>; N]) -> Option<[T; N]> {
+    let values: Vec<T> = values.into_iter().flatten().collect();
+    values.try_into().ok()
 }
 
 /// The gates of one unit.
@@ -183,61 +207,6 @@ impl Sizes {
         [input.split_at(3 * self.width * self.columns), hidden.split_at(3 * self.width * self.width)]
     }
 
-    /// Returns how the sequences are divided into parts. Each thread takes one part through all times.
-    fn parts(self, recurrent: &Repeated) -> Parts {
-        let rows = self.batch.div_ceil(recurrent.parts(threads()).min(self.batch));
-        Parts { batch: self.batch, rows }
-    }
-
-    /// Computes the states of one time from those before it. `hidden` receives the products with the last states.
-    fn step(
-        self,
-        input: &[f32],
-        (recurrent, bias): (&Repeated, &[f32]),
-        last: &[f32],
-        hidden: &mut [f32],
-        states: &mut [f32],
-    ) {
-        let width = self.width;
-        hidden.chunks_exact_mut(3 * width).for_each(|row| row.copy_from_slice(bias));
-        recurrent.add_product(last, hidden, threads());
-        let rows = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
-        let rows = rows.zip(last.chunks_exact(width)).zip(states.chunks_exact_mut(width));
-        simd(
-            #[inline(always)]
-            || {
-                for (((input, hidden), last), state) in rows {
-                    next_state(parts(input), parts(hidden), last, state);
-                }
-            },
-        );
-    }
-
-    /// Computes the gradients of one time's input and hidden products. `grad` is the gradient of its states, and is
-    /// replaced by that of the last states.
-    fn step_back(
-        self,
-        [input, hidden, last]: [&[f32]; 3],
-        recurrent: &Repeated,
-        [of_input, of_hidden]: [&mut [f32]; 2],
-        grad: &mut [f32],
-    ) {
-        let width = self.width;
-        let given = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
-        let wanted = of_input.chunks_exact_mut(3 * width).zip(of_hidden.chunks_exact_mut(3 * width));
-        let rows = given.zip(last.chunks_exact(width)).zip(wanted.zip(grad.chunks_exact_mut(width)));
-        simd(
-            #[inline(always)]
-            || {
-                for (((input, hidden), last), ((of_input, of_hidden), grad)) in rows {
-                    let wanted = [parts_mut(of_input), parts_mut(of_hidden)];
-                    row_gradients([parts(input), parts(hidden)], last, wanted, grad);
-                }
-            },
-        );
-        recurrent.add_product(of_hidden, grad, threads());
-    }
-
     /// Computes the states of all times, `[times * batch, width]`, and the products that they are computed from.
     fn forward(
         self,
@@ -256,13 +225,14 @@ impl Sizes {
 
         let weight = Matrix::transposed(hidden_weight, gates, width);
         let recurrent = Repeated::new(weight, states.len() / self.state(), self.arithmetic);
-        let parts = self.parts(&recurrent);
-        let of_parts = parts.of_mut(hidden, gates).into_par_iter().zip(parts.of_mut(states, width));
-        of_parts.enumerate().for_each(|(part, (hidden, states))| {
+        let parts = Parts::new(self.batch, &recurrent);
+        let of_parts = parts.of_mut([(&mut *hidden, gates), (states, width)]).into_par_iter();
+        of_parts.enumerate().for_each(|(part, times)| {
             let mut last = parts.of(start, width, part, 0);
-            for (time, (hidden, states)) in hidden.into_iter().zip(states).enumerate() {
-                let input = parts.of(input, gates, part, time);
-                self.step(input, (&recurrent, hidden_bias), last, hidden, states);
+            for (time, [hidden, states]) in times.into_iter().enumerate() {
+                fill_rows(hidden, hidden_bias);
+                recurrent.add_product(last, hidden, threads());
+                next_states([parts.of(input, gates, part, time), hidden, last], states, width);
                 last = states;
             }
         });
@@ -282,17 +252,17 @@ impl Sizes {
         let (width, gates) = (self.width, 3 * self.width);
         let weight = Matrix::plain(hidden_weight, gates, width);
         let recurrent = Repeated::new(weight, grad.len() / self.state(), self.arithmetic);
-        let parts = self.parts(&recurrent);
-        let of_gates = parts.of_mut(&mut of_products.input, gates).into_par_iter();
-        let of_gates = of_gates.zip(parts.of_mut(&mut of_products.hidden, gates));
-        let of_parts = of_gates.zip(of_start.par_chunks_mut(parts.rows * width));
-        of_parts.enumerate().for_each(|(part, ((of_input, of_hidden), of_state))| {
-            for (time, (of_input, of_hidden)) in of_input.into_iter().zip(of_hidden).enumerate().rev() {
+        let parts = Parts::new(self.batch, &recurrent);
+        let of_gates = parts.of_mut([(&mut *of_products.input, gates), (&mut *of_products.hidden, gates)]);
+        let of_parts = of_gates.into_par_iter().zip(of_start.par_chunks_mut(parts.rows * width));
+        of_parts.enumerate().for_each(|(part, (times, of_state))| {
+            for (time, [of_input, of_hidden]) in times.into_iter().enumerate().rev() {
                 let of_time = |values| parts.of(values, gates, part, time);
                 let given =
                     [of_time(&given.input), of_time(&given.hidden), parts.of(last, width, part, time)];
                 kernels::add_to(of_state, parts.of(grad, width, part, time));
-                self.step_back(given, &recurrent, [of_input, of_hidden], of_state);
+                gradients(given, [of_input, &mut *of_hidden], of_state, width);
+                recurrent.add_product(of_hidden, of_state, threads());
             }
         });
     }
@@ -379,6 +349,47 @@ impl CustomOp3 for Gru {
         let of_packed = tensor(of_packed, packed.shape())?;
         Ok((of_inputs.transpose()?, Some(of_packed), Some(tensor(of_start, (batch, width))?)))
     }
+}
+
+/// Sets each row to `values`.
+pub(super) fn fill_rows(rows: &mut [f32], values: &[f32]) {
+    rows.chunks_exact_mut(values.len()).for_each(|row| row.copy_from_slice(values));
+}
+
+/// Computes the states of one time from the products with the inputs and with the last states, and from the last states.
+pub(super) fn next_states([input, hidden, last]: [&[f32]; 3], states: &mut [f32], width: usize) {
+    let rows = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
+    let rows = rows.zip(last.chunks_exact(width)).zip(states.chunks_exact_mut(width));
+    simd(
+        #[inline(always)]
+        || {
+            for (((input, hidden), last), state) in rows {
+                next_state(parts(input), parts(hidden), last, state);
+            }
+        },
+    );
+}
+
+/// Computes the gradients of the two products of [`next_states`]. `grad` is the gradient of the states, and is replaced
+/// by the part of the last states' gradient that does not pass through the product with them.
+pub(super) fn gradients(
+    [input, hidden, last]: [&[f32]; 3],
+    [of_input, of_hidden]: [&mut [f32]; 2],
+    grad: &mut [f32],
+    width: usize,
+) {
+    let given = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
+    let wanted = of_input.chunks_exact_mut(3 * width).zip(of_hidden.chunks_exact_mut(3 * width));
+    let rows = given.zip(last.chunks_exact(width)).zip(wanted.zip(grad.chunks_exact_mut(width)));
+    simd(
+        #[inline(always)]
+        || {
+            for (((input, hidden), last), ((of_input, of_hidden), grad)) in rows {
+                let wanted = [parts_mut(of_input), parts_mut(of_hidden)];
+                row_gradients([parts(input), parts(hidden)], last, wanted, grad);
+            }
+        },
+    );
 }
 
 /// Number of units that are computed at once: those of the widest vectors.

@@ -41,6 +41,47 @@ fn halves(posterior: &Tensor) -> Result<(Tensor, Tensor)> {
     Ok((posterior.narrow(1, 0, latent)?, posterior.narrow(1, latent, latent)?))
 }
 
+/// Draws latent states as [`sample`] does.
+pub(super) fn draw(posterior: &[f32], noise: &[f32], drawn: &mut [f32], latent: usize) {
+    let rows = posterior.chunks_exact(2 * latent).zip(noise.chunks_exact(latent));
+    simd(
+        #[inline(always)]
+        || {
+            for (drawn, (posterior, noise)) in drawn.chunks_exact_mut(latent).zip(rows) {
+                let (mean, log_variance) = posterior.split_at(latent);
+                for (((drawn, mean), log_variance), noise) in
+                    drawn.iter_mut().zip(mean).zip(log_variance).zip(noise)
+                {
+                    *drawn = mean + exp(0.5 * log_variance) * noise;
+                }
+            }
+        },
+    );
+}
+
+/// Adds the gradients of the posterior to `of_posterior`. `grad` is the gradient of the latent states `drawn`.
+pub(super) fn add_gradients([posterior, drawn, grad]: [&[f32]; 3], of_posterior: &mut [f32], latent: usize) {
+    let rows =
+        posterior.chunks_exact(2 * latent).zip(drawn.chunks_exact(latent)).zip(grad.chunks_exact(latent));
+    simd(
+        #[inline(always)]
+        || {
+            for (of_posterior, ((posterior, drawn), grad)) in
+                of_posterior.chunks_exact_mut(2 * latent).zip(rows)
+            {
+                let (of_mean, of_log_variance) = of_posterior.split_at_mut(latent);
+                let of_both = of_mean.iter_mut().zip(of_log_variance);
+                // `drawn - mean` is `exp(log_variance / 2) * noise`.
+                for ((((of_mean, of_log), drawn), mean), grad) in of_both.zip(drawn).zip(posterior).zip(grad)
+                {
+                    *of_mean += grad;
+                    *of_log += 0.5 * grad * (drawn - mean);
+                }
+            }
+        },
+    );
+}
+
 struct Sample {
     noise: Tensor,
 }
@@ -56,20 +97,7 @@ impl CustomOp1 for Sample {
         let mut drawn = kernels::scratch(batch * latent);
         let posterior = slice(posterior, layout)?;
         with_values(&self.noise, |noise| {
-            let rows = posterior.chunks_exact(width).zip(noise.chunks_exact(latent));
-            simd(
-                #[inline(always)]
-                || {
-                    for (drawn, (posterior, noise)) in drawn.chunks_exact_mut(latent).zip(rows) {
-                        let (mean, log_variance) = posterior.split_at(latent);
-                        for (((drawn, mean), log_variance), noise) in
-                            drawn.iter_mut().zip(mean).zip(log_variance).zip(noise)
-                        {
-                            *drawn = mean + exp(0.5 * log_variance) * noise;
-                        }
-                    }
-                },
-            );
+            draw(posterior, noise, &mut drawn, latent);
             Ok(())
         })?;
         Ok((CpuStorage::F32(drawn), (batch, latent).into()))
@@ -82,20 +110,7 @@ impl CustomOp1 for Sample {
         with_values(posterior, |posterior| {
             with_values(drawn, |drawn| {
                 with_values(grad, |grad| {
-                    let rows = posterior
-                        .chunks_exact(width)
-                        .zip(drawn.chunks_exact(latent))
-                        .zip(grad.chunks_exact(latent));
-                    for (grads, ((posterior, drawn), grad)) in grads.chunks_exact_mut(width).zip(rows) {
-                        let (grad_mean, grad_log_variance) = grads.split_at_mut(latent);
-                        grad_mean.copy_from_slice(grad);
-                        // `drawn - mean` is `exp(log_variance / 2) * noise`.
-                        for (((of, drawn), mean), grad) in
-                            grad_log_variance.iter_mut().zip(drawn).zip(posterior).zip(grad)
-                        {
-                            *of = 0.5 * grad * (drawn - mean);
-                        }
-                    }
+                    add_gradients([posterior, drawn, grad], &mut grads, latent);
                     Ok(())
                 })
             })

@@ -5,7 +5,7 @@ use harness_judge::{MetricRow, Persistence, Predictor, Test, judge};
 use harness_learning::network::{Network as Predicting, Posterior, Seen, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
-use harness_ops::{Arithmetic, Gated, gru};
+use harness_ops::{Arithmetic, Gated, Sequences, StateSpace, TwoLayers, gru, rssm, sample, two_layers};
 use harness_spec::WindowStart;
 
 /// All kinds of memory.
@@ -108,6 +108,88 @@ fn assert_unit(width: usize) {
         }
     }
     assert_gradients(&given, units);
+}
+
+#[test]
+fn steps_of_a_state_space_model_are_those_of_single_ops() {
+    // The units of 37 are two whole vectors of 16 and a part of one.
+    for width in [5, 37] {
+        for encoded in [0, 3] {
+            [false, true].into_iter().for_each(|drawn| assert_state_space(width, encoded, drawn));
+        }
+    }
+}
+
+/// Compares the steps of a state-space model, whose distribution takes so many values of an encoded sample, with a unit,
+/// two layers and a drawn state at each time, and its gradients with finite differences.
+fn assert_state_space(width: usize, encoded: usize, drawn: bool) {
+    let mut random = random(7);
+    let (times, batch, action, latent, units) = (4, 3, 2, 3, 6);
+    let (rows, gates) = (times * batch, 3 * width);
+    let shapes = [
+        &[rows, action][..],
+        &[rows, encoded.max(1)],
+        &[batch, width],
+        &[batch, latent],
+        &[gates, latent + action],
+        &[gates],
+        &[gates, width],
+        &[gates],
+        &[units, width + encoded],
+        &[units],
+        &[2 * latent, units],
+        &[2 * latent],
+    ];
+    let noise = normal(&mut random, &[rows, latent]);
+    // A log-variance grows with the latent state before it, so parameters of 1 would let the states grow without bounds.
+    let small = |shape: &[usize]| Var::from_tensor(&(normal(&mut random, shape) * 0.3).unwrap()).unwrap();
+    let mut given = shapes.map(small).to_vec();
+    let noise = drawn.then_some(&noise);
+    fn model(given: &[Tensor]) -> StateSpace<'_> {
+        let [input, hidden] = [4, 6].map(|first| Gated { weight: &given[first], bias: &given[first + 1] });
+        let [hidden_weight, hidden_bias, weight, bias] = [8, 9, 10, 11].map(|index| &given[index]);
+        StateSpace { input, hidden, distribution: TwoLayers { hidden_weight, hidden_bias, weight, bias } }
+    }
+    let seen = |given: &[Tensor]| (encoded > 0).then(|| given[1].clone());
+    let steps = |given: &[Tensor]| {
+        let encoded = seen(given);
+        let sequences = Sequences { actions: &given[0], encoded: encoded.as_ref(), noise };
+        let (memories, distributions) =
+            rssm(&sequences, &model(given), &given[2], &given[3], Arithmetic::best())?;
+        Tensor::cat(&[memories, distributions], 1)
+    };
+    let tensors: Vec<Tensor> = given.iter().map(|var| var.as_tensor().clone()).collect();
+    let found = steps(&tensors).unwrap();
+    let (mut memory, mut latents) = (tensors[2].clone(), tensors[3].clone());
+    for first in (0..rows).step_by(batch) {
+        let now = |tensor: &Tensor| tensor.narrow(0, first, batch).unwrap();
+        let StateSpace { input, hidden, distribution } = model(&tensors);
+        let inputs = Tensor::cat(&[&latents, &now(&tensors[0])], 1).unwrap();
+        memory = gru(&inputs, input, hidden, &memory, Arithmetic::best()).unwrap();
+        let joined = match seen(&tensors) {
+            Some(encoded) => Tensor::cat(&[&memory, &now(&encoded)], 1).unwrap(),
+            None => memory.clone(),
+        };
+        let distributions = two_layers(&joined, distribution, Arithmetic::best()).unwrap();
+        latents = match noise {
+            Some(noise) => sample(&distributions, &now(noise)).unwrap(),
+            None => distributions.narrow(1, 0, latent).unwrap().contiguous().unwrap(),
+        };
+        let expected = Tensor::cat(&[&memory, &distributions], 1).unwrap();
+        let what = format!("width {width}, encoded {encoded}, rows from {first}");
+        assert_close(&now(&found), &expected, 1e-6, &what);
+    }
+    let rejected = Sequences { actions: &tensors[0], encoded: Some(&tensors[2]), noise };
+    assert!(rssm(&rejected, &model(&tensors), &tensors[2], &tensors[3], Arithmetic::best()).is_err());
+    if encoded == 0 {
+        // The encoded samples are not used, and have no gradient.
+        given.remove(1);
+        let unused = Tensor::new(0f32, &Device::Cpu).unwrap();
+        return assert_gradients(&given, |given| {
+            steps(&[&given[..1], std::slice::from_ref(&unused), &given[1..]].concat())
+        });
+    }
+    assert_gradients(&given, steps);
 }
 
 #[test]

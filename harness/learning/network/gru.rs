@@ -20,7 +20,7 @@ pub(super) struct Cell {
     hidden: Dense,
     /// Width of the state.
     pub width: usize,
-    arithmetic: Arithmetic,
+    pub arithmetic: Arithmetic,
 }
 
 impl Cell {
@@ -42,9 +42,13 @@ impl Cell {
     /// Returns the unit's states, `[times * batch, width]`, for inputs that follow one another. `last` is the state
     /// before the first time, `[batch, width]`.
     pub fn states(&self, inputs: &Tensor, last: &Tensor) -> Result<Tensor> {
-        let [input, hidden] =
-            [&self.input, &self.hidden].map(|dense| Gated { weight: &dense.weight, bias: &dense.bias });
+        let [input, hidden] = self.products();
         ops::gru(inputs, input, hidden, last, self.arithmetic)
+    }
+
+    /// Returns the parameters of the products with the inputs and with the last state.
+    pub fn products(&self) -> [Gated<'_>; 2] {
+        [&self.input, &self.hidden].map(|dense| Gated { weight: &dense.weight, bias: &dense.bias })
     }
 
     pub fn detached(&self) -> Self {

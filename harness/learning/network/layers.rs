@@ -178,15 +178,20 @@ impl Perceptron {
         self
     }
 
+    /// Returns the parameters if there are two layers.
+    pub fn two_layers(&self) -> Option<TwoLayers<'_>> {
+        let [(_, hidden), (_, last)] = self.layers.as_slice() else { return None };
+        Some(TwoLayers {
+            hidden_weight: &hidden.weight,
+            hidden_bias: &hidden.bias,
+            weight: &last.weight,
+            bias: &last.bias,
+        })
+    }
+
     /// Returns the last layer's output, with a ReLU if `relu`.
     pub fn forward(&self, x: &Tensor, relu: bool) -> Result<Tensor> {
-        if let ([(_, hidden), (_, last)], false) = (self.layers.as_slice(), relu) {
-            let layers = TwoLayers {
-                hidden_weight: &hidden.weight,
-                hidden_bias: &hidden.bias,
-                weight: &last.weight,
-                bias: &last.bias,
-            };
+        if let (Some(layers), false) = (self.two_layers(), relu) {
             return two_layers(x, layers, self.arithmetic);
         }
         let mut x = x.clone();

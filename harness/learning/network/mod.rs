@@ -310,14 +310,20 @@ impl Draw<'_> {
     /// # Errors
     /// When the noise can't be copied to the posterior's device.
     pub fn latent(&mut self, posterior: &Posterior) -> Result<Tensor> {
-        match self {
-            Self::Sample { random, .. } => {
-                let shape = (posterior.0.dim(0)?, posterior.latent()?);
-                let noise = Tensor::from_vec(random.normal(shape.0 * shape.1), shape, &Device::Cpu)?;
-                posterior.sample(&noise.to_device(posterior.0.device())?)
-            }
-            Self::Mean => posterior.mean(),
+        match self.noise(posterior.0.dim(0)?, posterior.latent()?, posterior.0.device())? {
+            Some(noise) => posterior.sample(&noise),
+            None => posterior.mean(),
         }
+    }
+
+    /// Returns standard normal noise for drawing latent states, `[batch, latent]`; `None` for the mean.
+    ///
+    /// # Errors
+    /// When the noise can't be copied to the device.
+    pub fn noise(&mut self, batch: usize, latent: usize, device: &Device) -> Result<Option<Tensor>> {
+        let Self::Sample { random, .. } = self else { return Ok(None) };
+        let noise = Tensor::from_vec(random.normal(batch * latent), (batch, latent), &Device::Cpu)?;
+        noise.to_device(device).map(Some)
     }
 }
 

@@ -5,7 +5,8 @@ use super::gru::Cell;
 use super::layers::{Builder, Perceptron};
 use super::unit::{Inputs, JOINED, Unit, memory_of};
 use super::{Architecture, Draw, Posterior, Seen, State};
-use candle_core::{Result, Tensor};
+use candle_core::{Result, Tensor, bail};
+use harness_ops::{self as ops, Sequences, StateSpace};
 
 /// Divergences below this number of nats are not reduced further.
 const FREE_NATS: f64 = 1.0;
@@ -39,9 +40,24 @@ impl Rssm {
         Ok(Self { inputs, cell, prior, posterior })
     }
 
-    /// Returns the memory at the sample that follows a latent state and an action.
-    fn step(&self, latent: &Tensor, action: &Tensor, memory: &Tensor) -> Result<Tensor> {
-        self.cell.states(&Tensor::cat(&[latent, action], 1)?, memory)
+    /// Returns the memory and the distribution of the latent state at times that follow one another. The distribution
+    /// is the posterior of encoded samples, or the prior.
+    fn steps(
+        &self,
+        state: &State,
+        encoded: Option<&Tensor>,
+        between: Option<&Tensor>,
+        noise: Option<&Tensor>,
+    ) -> Result<(Tensor, Posterior)> {
+        let distribution = if encoded.is_some() { &self.posterior } else { &self.prior };
+        let Some(distribution) = distribution.two_layers() else { bail!("a distribution has two layers") };
+        let ([input, hidden], actions) = (self.cell.products(), self.inputs.actions(state, between)?);
+        let given = Sequences { actions: &actions, encoded, noise };
+        let parameters = StateSpace { input, hidden, distribution };
+        let arithmetic = self.cell.arithmetic;
+        let (memory, distribution) =
+            ops::rssm(&given, &parameters, memory_of(state)?, &state.latent, arithmetic)?;
+        Ok((memory, Posterior(distribution)))
     }
 }
 
@@ -66,36 +82,20 @@ impl Unit for Rssm {
         between: Option<&Tensor>,
         draw: &mut Draw,
     ) -> Result<Seen> {
-        let (mut memory, mut latent) = (memory_of(state)?.clone(), state.latent.clone());
-        let (batch, actions) = (memory.dim(0)?, self.inputs.actions(state, between)?);
-        let (mut memories, mut latents, mut posteriors) = (Vec::new(), Vec::new(), Vec::new());
-        for first in (0..encoded.dim(0)?).step_by(batch) {
-            let now = |tensor: &Tensor| tensor.narrow(0, first, batch)?.contiguous();
-            memory = self.step(&latent, &now(&actions)?, &memory)?;
-            let joined = Tensor::cat(&[&memory, &now(encoded)?], 1)?;
-            let posterior = Posterior(self.posterior.forward(&joined, false)?);
-            latent = draw.latent(&posterior)?;
-            memories.push(memory.clone());
-            latents.push(latent.clone());
-            posteriors.push(posterior.0);
-        }
-        let memory = Tensor::cat(&memories, 0)?;
+        let noise = draw.noise(encoded.dim(0)?, state.latent.dim(1)?, encoded.device())?;
+        let (memory, posterior) = self.steps(state, Some(encoded), between, noise.as_ref())?;
+        let latent = match &noise {
+            Some(noise) => posterior.sample(noise)?,
+            None => posterior.mean()?,
+        };
         let prior = Posterior(self.prior.forward(&memory, false)?);
-        let divergence = balanced(&Posterior(Tensor::cat(&posteriors, 0)?), &prior)?;
-        let state = State { latent: Tensor::cat(&latents, 0)?, action: None, memory: Some(memory) };
-        Ok(Seen { state, divergence })
+        let divergence = balanced(&posterior, &prior)?;
+        Ok(Seen { state: State { latent, action: None, memory: Some(memory) }, divergence })
     }
 
     fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State> {
-        let (mut memory, mut latent) = (memory_of(state)?.clone(), state.latent.clone());
-        let (batch, actions) = (memory.dim(0)?, self.inputs.actions(state, between)?);
-        let mut states = Vec::new();
-        for first in (0..actions.dim(0)?).step_by(batch) {
-            memory = self.step(&latent, &actions.narrow(0, first, batch)?.contiguous()?, &memory)?;
-            latent = Posterior(self.prior.forward(&memory, false)?).mean()?;
-            states.push(State { latent: latent.clone(), action: None, memory: Some(memory.clone()) });
-        }
-        State::joined(&states)
+        let (memory, prior) = self.steps(state, None, between, None)?;
+        Ok(State { latent: prior.mean()?, action: None, memory: Some(memory) })
     }
 
     fn detached(&self) -> Box<dyn Unit> {

@@ -1,0 +1,470 @@
+//! The steps of a recurrent state-space model over whole sequences as one op.
+//!
+//! The latent state of each time depends on the one before it, so its products can't be computed for all times at once.
+//! The products with actions and encoded samples can, and so can the gradients of all weights. The weights that are
+//! used at each time are packed once, and each thread takes its sequences through all times, as in a gated recurrent
+//! unit.
+
+use super::gru::{Gated, Parts, composed, fill_rows, gradients, next_states};
+use super::posterior::{add_gradients, draw};
+use super::{Arithmetic, TwoLayers, linear, sample, slice, tensor, threads, with_values};
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use harness_kernels as kernels;
+use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::repeated::Repeated;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// The parameters of a recurrent state-space model whose memory has `width` values.
+pub struct StateSpace<'a> {
+    /// The unit's product with the last latent state and the action after it, `[3 * width, latent + action]`.
+    pub input: Gated<'a>,
+    /// The unit's product with the last memory, `[3 * width, width]`.
+    pub hidden: Gated<'a>,
+    /// The distribution of the latent state, `[2 * latent]`, from the memory and the encoded sample.
+    pub distribution: TwoLayers<'a>,
+}
+
+/// What a model is given at each time. The rows of one time lie together.
+pub struct Sequences<'a> {
+    /// The action before each time, `[times * batch, action]`.
+    pub actions: &'a Tensor,
+    /// The encoded samples, `[times * batch, columns]`; `None` if the distribution follows from the memory alone.
+    pub encoded: Option<&'a Tensor>,
+    /// Standard normal noise, `[times * batch, latent]`; `None` if the latent state is the mean of its distribution.
+    pub noise: Option<&'a Tensor>,
+}
+
+/// Returns the memory after each time, `[times * batch, width]`, and the distribution of its latent state,
+/// `[times * batch, 2 * latent]`, the means followed by the log-variances.
+///
+/// The memory is that of a gated recurrent unit (see [`gru`](super::gru())), which takes the last latent state and the
+/// action after it. The latent state is drawn as in [`sample`]. `memory` `[batch, width]` and `latent`
+/// `[batch, latent]` are those before the first time.
+///
+/// # Errors
+/// When the shapes do not match.
+pub fn rssm(
+    given: &Sequences,
+    parameters: &StateSpace,
+    memory: &Tensor,
+    latent: &Tensor,
+    arithmetic: Arithmetic,
+) -> Result<(Tensor, Tensor)> {
+    let ((rows, actions), (batch, width), (_, size)) =
+        (given.actions.dims2()?, memory.dims2()?, latent.dims2()?);
+    let StateSpace { input, hidden, distribution } = parameters;
+    let (gates, units) = (3 * width, distribution.hidden_weight.dim(0)?);
+    let wanted = [
+        (latent, vec![batch, size]),
+        (input.weight, vec![gates, size + actions]),
+        (hidden.weight, vec![gates, width]),
+        (hidden.bias, vec![gates]),
+        (distribution.weight, vec![2 * size, units]),
+        (distribution.bias, vec![2 * size]),
+    ];
+    let columns = distribution.hidden_weight.dim(1)?.saturating_sub(width);
+    let encoded = given.encoded.map(|encoded| (encoded, vec![rows, columns]));
+    let noise = given.noise.map(|noise| (noise, vec![rows, size]));
+    for (tensor, shape) in wanted.into_iter().chain(encoded).chain(noise) {
+        if tensor.dims() != shape {
+            bail!("a tensor of a state-space model has the shape {:?} instead of {shape:?}", tensor.dims());
+        }
+    }
+    if batch == 0 || rows == 0 || rows % batch != 0 {
+        bail!("{rows} actions can't be divided among {batch} sequences");
+    }
+    let part = |weight: &Tensor, first: usize, columns: usize| weight.narrow(1, first, columns);
+    // The parts of the products that do not depend on the last time.
+    let of_actions = part(input.weight, size, actions)?;
+    let of_actions = linear(given.actions, &of_actions, input.bias, false, arithmetic)?;
+    let of_encoded = match given.encoded {
+        Some(encoded) => {
+            let weight = part(distribution.hidden_weight, width, columns)?;
+            linear(encoded, &weight, distribution.hidden_bias, false, arithmetic)?
+        }
+        None => distribution.hidden_bias.broadcast_as((rows, units))?,
+    };
+    let steps = Steps {
+        latent_weight: &part(input.weight, 0, size)?,
+        memory: Gated { ..*hidden },
+        hidden_weight: &part(distribution.hidden_weight, 0, width)?,
+        distribution: Gated { weight: distribution.weight, bias: distribution.bias },
+    };
+    if !memory.device().is_cpu() {
+        return steps.composed([&of_actions, &of_encoded], given.noise, memory, latent);
+    }
+    let sizes = Sizes { batch, times: rows / batch, width, units, latent: size, arithmetic };
+    let flat = |tensors: &[&Tensor]| {
+        Tensor::cat(&tensors.iter().map(|tensor| tensor.flatten_all()).collect::<Result<Vec<_>>>()?, 0)
+    };
+    // candle gives an op at most three arguments and takes one result.
+    let given_rows = flat(&[&of_actions, &of_encoded])?;
+    let op = Op { sizes, noise: given.noise.map(Tensor::contiguous).transpose()?, kept: OnceLock::new() };
+    let results = given_rows.apply_op3(&flat(&steps.tensors())?, &flat(&[memory, latent])?, op)?;
+    let (memories, distributions) = (rows * width, rows * 2 * size);
+    Ok((
+        results.narrow(0, 0, memories)?.reshape((rows, width))?,
+        results.narrow(0, memories, distributions)?.reshape((rows, 2 * size))?,
+    ))
+}
+
+/// The parameters of the products with values of the last time or of the present one.
+struct Steps<'a> {
+    /// `[3 * width, latent]`
+    latent_weight: &'a Tensor,
+    /// `[3 * width, width]`
+    memory: Gated<'a>,
+    /// `[units, width]`
+    hidden_weight: &'a Tensor,
+    /// `[2 * latent, units]`
+    distribution: Gated<'a>,
+}
+
+impl<'a> Steps<'a> {
+    /// Returns the parameters in the order of [`Sizes::parameters`].
+    fn tensors(&self) -> [&'a Tensor; 6] {
+        let Self { latent_weight, memory, hidden_weight, distribution } = self;
+        [latent_weight, memory.weight, memory.bias, hidden_weight, distribution.weight, distribution.bias]
+    }
+
+    /// Computes the steps by candle's operations.
+    fn composed(
+        &self,
+        [of_actions, of_encoded]: [&Tensor; 2],
+        noise: Option<&Tensor>,
+        memory: &Tensor,
+        latent: &Tensor,
+    ) -> Result<(Tensor, Tensor)> {
+        let (batch, size) = latent.dims2()?;
+        let product = |x: &Tensor, weight: &Tensor| x.matmul(&weight.t()?);
+        let (mut memory, mut latent) = (memory.clone(), latent.clone());
+        let (mut memories, mut distributions) = (Vec::new(), Vec::new());
+        for first in (0..of_actions.dim(0)?).step_by(batch) {
+            let now = |tensor: &Tensor| tensor.narrow(0, first, batch);
+            let input = (now(of_actions)? + product(&latent, self.latent_weight)?)?;
+            let hidden = product(&memory, self.memory.weight)?.broadcast_add(self.memory.bias)?;
+            memory = composed(&input, &hidden, &memory)?;
+            let hidden = (now(of_encoded)? + product(&memory, self.hidden_weight)?)?.relu()?;
+            let distribution =
+                product(&hidden, self.distribution.weight)?.broadcast_add(self.distribution.bias)?;
+            latent = match noise {
+                Some(noise) => sample(&distribution, &now(noise)?)?,
+                None => distribution.narrow(1, 0, size)?.contiguous()?,
+            };
+            memories.push(memory.clone());
+            distributions.push(distribution);
+        }
+        Ok((Tensor::cat(&memories, 0)?, Tensor::cat(&distributions, 0)?))
+    }
+}
+
+struct Op {
+    sizes: Sizes,
+    noise: Option<Tensor>,
+    /// Kept for the backward pass.
+    kept: OnceLock<Kept>,
+}
+
+/// What the steps compute beside their results, for all times.
+struct Kept {
+    /// The unit's products with its inputs, `[times * batch, 3 * width]`.
+    input: Vec<f32>,
+    /// The unit's products with the last memory, `[times * batch, 3 * width]`.
+    product: Vec<f32>,
+    /// The hidden layer's output, `[times * batch, units]`.
+    hidden: Vec<f32>,
+    /// The latent states, `[times * batch, latent]`.
+    latent: Vec<f32>,
+}
+
+/// Sizes of the op's matrices.
+#[derive(Clone, Copy)]
+struct Sizes {
+    /// Number of sequences.
+    batch: usize,
+    times: usize,
+    /// Width of the memory.
+    width: usize,
+    /// Width of the hidden layer.
+    units: usize,
+    /// Size of the latent state.
+    latent: usize,
+    arithmetic: Arithmetic,
+}
+
+/// Splits values into parts of these lengths.
+fn split<const N: usize>(mut values: &[f32], lens: [usize; N]) -> [&[f32]; N] {
+    lens.map(|len| {
+        let (part, rest) = values.split_at(len);
+        values = rest;
+        part
+    })
+}
+
+/// Splits values into parts of these lengths.
+fn split_mut<const N: usize>(mut values: &mut [f32], lens: [usize; N]) -> [&mut [f32]; N] {
+    lens.map(|len| {
+        let (part, rest) = std::mem::take(&mut values).split_at_mut(len);
+        values = rest;
+        part
+    })
+}
+
+impl Sizes {
+    fn rows(self) -> usize {
+        self.times * self.batch
+    }
+
+    fn gates(self) -> usize {
+        3 * self.width
+    }
+
+    /// Lengths of the parts of the unit's and of the hidden layer's products that are computed before.
+    fn given(self) -> [usize; 2] {
+        [self.rows() * self.gates(), self.rows() * self.units]
+    }
+
+    /// Lengths of the parameters.
+    fn parameters(self) -> [usize; 6] {
+        let Self { width, units, latent, .. } = self;
+        let gates = self.gates();
+        [gates * latent, gates * width, gates, units * width, 2 * latent * units, 2 * latent]
+    }
+
+    /// Lengths of the memory and the latent state before the first time.
+    fn start(self) -> [usize; 2] {
+        [self.batch * self.width, self.batch * self.latent]
+    }
+
+    /// Lengths of the memories and of the distributions.
+    fn results(self) -> [usize; 2] {
+        [self.rows() * self.width, self.rows() * 2 * self.latent]
+    }
+
+    /// Prepares a product at each time.
+    fn repeated(self, matrix: Matrix) -> Repeated {
+        Repeated::new(matrix, self.times, self.arithmetic)
+    }
+
+    /// Computes the results of all times.
+    fn forward(
+        self,
+        given: &[f32],
+        parameters: &[f32],
+        start: &[f32],
+        noise: Option<&[f32]>,
+        results: &mut [f32],
+    ) -> Kept {
+        let Self { width, units, latent, .. } = self;
+        let (gates, rows) = (self.gates(), self.rows());
+        let [of_actions, of_encoded] = split(given, self.given());
+        let [latent_weight, memory_weight, memory_bias, hidden_weight, weight, bias] =
+            split(parameters, self.parameters());
+        let [memory_start, latent_start] = split(start, self.start());
+        let transposed = |weight, outputs, inputs| self.repeated(Matrix::transposed(weight, outputs, inputs));
+        let latent_product = transposed(latent_weight, gates, latent);
+        let memory_product = transposed(memory_weight, gates, width);
+        let hidden_product = transposed(hidden_weight, units, width);
+        let distribution_product = transposed(weight, 2 * latent, units);
+
+        let mut kept = Kept {
+            input: of_actions.to_vec(),
+            product: kernels::scratch(rows * gates),
+            hidden: of_encoded.to_vec(),
+            latent: kernels::scratch(rows * latent),
+        };
+        let [memories, distributions] = split_mut(results, self.results());
+        let parts = Parts::new(self.batch, &memory_product);
+        let of_parts = parts.of_mut([
+            (&mut kept.input, gates),
+            (&mut kept.product, gates),
+            (&mut kept.hidden, units),
+            (&mut kept.latent, latent),
+            (memories, width),
+            (distributions, 2 * latent),
+        ]);
+        of_parts.into_par_iter().enumerate().for_each(|(part, times)| {
+            let mut last_memory = parts.of(memory_start, width, part, 0);
+            let mut last_latent = parts.of(latent_start, latent, part, 0);
+            for (time, [input, product, hidden, drawn, memory, distribution]) in times.into_iter().enumerate()
+            {
+                latent_product.add_product(last_latent, input, threads());
+                fill_rows(product, memory_bias);
+                memory_product.add_product(last_memory, product, threads());
+                next_states([input, product, last_memory], memory, width);
+                hidden_product.add_product(memory, hidden, threads());
+                hidden.iter_mut().for_each(|value| *value = value.max(0.0));
+                fill_rows(distribution, bias);
+                distribution_product.add_product(hidden, distribution, threads());
+                match noise {
+                    Some(noise) => draw(distribution, parts.of(noise, latent, part, time), drawn, latent),
+                    None => copy_means(distribution, drawn, latent),
+                }
+                (last_memory, last_latent) = (memory, drawn);
+            }
+        });
+        kept
+    }
+
+    /// Computes the gradients of the given products, of the parameters, and of the start. `grad` is the
+    /// gradient of the results. `is_drawn` says whether latent states are drawn or means.
+    fn backward(
+        self,
+        kept: &Kept,
+        parameters: &[f32],
+        start: &[f32],
+        results: &[f32],
+        grad: &[f32],
+        is_drawn: bool,
+    ) -> Gradients {
+        let Self { width, units, latent, .. } = self;
+        let (gates, rows) = (self.gates(), self.rows());
+        let [latent_weight, memory_weight, _, hidden_weight, weight, _] =
+            split(parameters, self.parameters());
+        let [grad_memory, grad_distribution] = split(grad, self.results());
+        let [memories, distributions] = split(results, self.results());
+        let [memory_start, latent_start] = split(start, self.start());
+        // The values before each time.
+        let (last_memory, last_latent) = (before(memory_start, memories), before(latent_start, &kept.latent));
+        let plain = |weight, rows, columns| self.repeated(Matrix::plain(weight, rows, columns));
+        let latent_product = plain(latent_weight, gates, latent);
+        let memory_product = plain(memory_weight, gates, width);
+        let hidden_product = plain(hidden_weight, units, width);
+        let distribution_product = plain(weight, 2 * latent, units);
+
+        let mut of_given = kernels::scratch(self.given().iter().sum());
+        let mut of_start = vec![0.0; self.start().iter().sum()];
+        let mut of_product = kernels::scratch(rows * gates);
+        let mut of_distribution = grad_distribution.to_vec();
+        let parts = Parts::new(self.batch, &memory_product);
+        let [of_input, of_hidden] = split_mut(&mut of_given, self.given());
+        let of_times = parts.of_mut([
+            (&mut *of_input, gates),
+            (&mut of_product, gates),
+            (&mut *of_hidden, units),
+            (&mut of_distribution, 2 * latent),
+        ]);
+        let [of_memory, of_latent] = split_mut(&mut of_start, self.start());
+        let of_starts =
+            of_memory.par_chunks_mut(parts.rows * width).zip(of_latent.par_chunks_mut(parts.rows * latent));
+        let of_parts = of_times.into_par_iter().zip(of_starts).enumerate();
+        of_parts.for_each(|(part, (times, (of_memory, of_latent)))| {
+            let of_times = times.into_iter().enumerate().rev();
+            for (time, [of_input, of_product, of_hidden, of_distribution]) in of_times {
+                let now = |values, columns| parts.of(values, columns, part, time);
+                if is_drawn {
+                    let drawn = [now(distributions, 2 * latent), now(&kept.latent, latent), of_latent];
+                    add_gradients(drawn, of_distribution, latent);
+                } else {
+                    add_to_means(of_latent, of_distribution, latent);
+                }
+                distribution_product.add_product(of_distribution, of_hidden, threads());
+                kernels::mask(of_hidden, now(&kept.hidden, units));
+                kernels::add_to(of_memory, now(grad_memory, width));
+                hidden_product.add_product(of_hidden, of_memory, threads());
+                let unit = [now(&kept.input, gates), now(&kept.product, gates), now(&last_memory, width)];
+                gradients(unit, [&mut *of_input, &mut *of_product], of_memory, width);
+                memory_product.add_product(of_product, of_memory, threads());
+                of_latent.fill(0.0);
+                latent_product.add_product(of_input, of_latent, threads());
+            }
+        });
+
+        let mut of_parameters = kernels::scratch(self.parameters().iter().sum());
+        let [of_latent_weight, of_memory_weight, of_memory_bias, of_hidden_weight, of_weight, of_bias] =
+            split_mut(&mut of_parameters, self.parameters());
+        let weight_gradient = |of: &[f32], outputs: usize, values: &[f32], inputs: usize, out: &mut [f32]| {
+            let (of, values) = (Matrix::transposed(of, rows, outputs), Matrix::plain(values, rows, inputs));
+            product(of, values, out, Accumulate::Overwrite, self.arithmetic, threads());
+        };
+        weight_gradient(of_input, gates, &last_latent, latent, of_latent_weight);
+        weight_gradient(&of_product, gates, &last_memory, width, of_memory_weight);
+        weight_gradient(of_hidden, units, memories, width, of_hidden_weight);
+        weight_gradient(&of_distribution, 2 * latent, &kept.hidden, units, of_weight);
+        of_memory_bias.copy_from_slice(&kernels::column_sums(&of_product, gates));
+        of_bias.copy_from_slice(&kernels::column_sums(&of_distribution, 2 * latent));
+        Gradients { given: of_given, parameters: of_parameters, start: of_start }
+    }
+}
+
+/// The gradients of the op's arguments.
+struct Gradients {
+    given: Vec<f32>,
+    parameters: Vec<f32>,
+    start: Vec<f32>,
+}
+
+/// Sets latent states to the means of their distributions.
+fn copy_means(distributions: &[f32], latents: &mut [f32], latent: usize) {
+    let rows = latents.chunks_exact_mut(latent).zip(distributions.chunks_exact(2 * latent));
+    rows.for_each(|(latents, distribution)| latents.copy_from_slice(&distribution[..latent]));
+}
+
+/// Adds the gradients of means to those of their distributions.
+fn add_to_means(of_latents: &[f32], of_distributions: &mut [f32], latent: usize) {
+    let rows = of_distributions.chunks_exact_mut(2 * latent).zip(of_latents.chunks_exact(latent));
+    rows.for_each(|(of_distribution, of_latents)| {
+        kernels::add_to(&mut of_distribution[..latent], of_latents)
+    });
+}
+
+/// Returns the values before each time: those at the start, and those of all times but the last.
+fn before(start: &[f32], values: &[f32]) -> Vec<f32> {
+    [start, &values[..values.len() - start.len()]].concat()
+}
+
+impl CustomOp3 for Op {
+    fn name(&self) -> &'static str {
+        "rssm"
+    }
+
+    fn cpu_fwd(
+        &self,
+        given: &CpuStorage,
+        given_layout: &Layout,
+        parameters: &CpuStorage,
+        parameters_layout: &Layout,
+        start: &CpuStorage,
+        start_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (given, parameters, start) =
+            (slice(given, given_layout)?, slice(parameters, parameters_layout)?, slice(start, start_layout)?);
+        let mut results = kernels::scratch(self.sizes.results().iter().sum());
+        let mut forward =
+            |noise: Option<&[f32]>| self.sizes.forward(given, parameters, start, noise, &mut results);
+        let kept = match &self.noise {
+            Some(noise) => with_values(noise, |noise| Ok(forward(Some(noise))))?,
+            None => forward(None),
+        };
+        self.kept.get_or_init(|| kept);
+        let len = results.len();
+        Ok((CpuStorage::F32(results), len.into()))
+    }
+
+    fn bwd(
+        &self,
+        given: &Tensor,
+        parameters: &Tensor,
+        start: &Tensor,
+        results: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let Some(kept) = self.kept.get() else { bail!("the steps have no products to go back from") };
+        let is_drawn = self.noise.is_some();
+        let of = with_values(parameters, |parameters| {
+            with_values(start, |start| {
+                with_values(results, |results| {
+                    with_values(grad, |grad| {
+                        Ok(self.sizes.backward(kept, parameters, start, results, grad, is_drawn))
+                    })
+                })
+            })
+        })?;
+        Ok((
+            Some(tensor(of.given, given.shape())?),
+            Some(tensor(of.parameters, parameters.shape())?),
+            Some(tensor(of.start, start.shape())?),
+        ))
+    }
+}
