@@ -15,7 +15,7 @@ Training compares one step of the paper's networks with PyTorch (training_step.p
 alone, computed by gemm (the example `products`) and by PyTorch (products.py). It also compares one step of a deep
 network, with and without the processor's tile unit, with PyTorch in both of its memory formats, and one step of a
 network with a gated recurrent unit, over 20 sequences of 50 samples, with PyTorch's nn.GRU and with a loop over its
-cells, on one core and on all.
+cells, on one core and on all, and one of a recurrent state-space model.
 
 Collection compares the whole command `harness collect`, including its start and writing to disk, with Python's `mujoco`
 (collect.py), PyBullet (pybullet_collect.py), and MuJoCo's functions called from C without recording (raw_limit.c). The
@@ -59,7 +59,7 @@ CORES = report.cores()
 DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
 DEEP_STEPS = 8
 # 20 sequences of 50 samples.
-RECURRENT = ("--memory", "gru", "--context", 50, "--batch", 1000, "--hidden", 256, "--latent", 64)
+RECURRENT = ("--context", 50, "--batch", 1000, "--hidden", 256, "--latent", 64)
 RECURRENT_TARGET = 1.5
 UNTUNED_SAMPLES = 100  # at about 20 samples per second
 PYBULLET_SAMPLES = 300  # of each episode
@@ -140,7 +140,7 @@ def training() -> list[Comparison]:
         )
         for tiles, options in (("with tiles", ()), ("without tiles", ("--no-tiles",)))
     ]
-    return [*paper, *deep, *recurrent]
+    return [*paper, *deep, *recurrent, state_space_step()]
 
 
 def harness_step(*options) -> Callable[[], float]:
@@ -198,7 +198,7 @@ def deep_step(name: str, target: float, *options) -> Comparison:
 
 def recurrent_step(name: str, layers: tuple, *options) -> Comparison:
     """The target is the same for all settings of PyTorch, so it also applies to the fastest one."""
-    work = (*RECURRENT, *layers)
+    work = ("--memory", "gru", *RECURRENT, *layers)
     ways = {"nn.GRU": "module", "a loop over nn.GRUCell": "cells"}
     return Comparison(
         f"training step, recurrent, {name}, latent 64, 20 x 50 samples",
@@ -212,6 +212,26 @@ def recurrent_step(name: str, layers: tuple, *options) -> Comparison:
                     RECURRENT_TARGET,
                 )
                 for shown, value in ways.items()
+                for threads in sorted({1, CORES})
+            ),
+        ),
+    )
+
+
+def state_space_step() -> Comparison:
+    """PyTorch has no module for it, so it is a loop over the times."""
+    work = ("--memory", "rssm", *RECURRENT, "--steps", 20)
+    return Comparison(
+        "training step, state-space model, vectors, latent 64, 20 x 50 samples",
+        "s",
+        (
+            Contender("harness", harness_step(*work)),
+            *(
+                Contender(
+                    f"PyTorch eager, {threads} thread{'s' * (threads > 1)}",
+                    pytorch_step(*work, "--threads", threads),
+                    RECURRENT_TARGET,
+                )
                 for threads in sorted({1, CORES})
             ),
         ),

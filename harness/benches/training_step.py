@@ -7,6 +7,7 @@ A step does the same as the harness does for one batch: draw the noise, forward 
     .venv-bench/bin/python harness/benches/training_step.py --channels 8 16 32 32 --fusion late  # a deep network
     .venv-bench/bin/python harness/benches/training_step.py --latent 4  # a network for vectors
     .venv-bench/bin/python harness/benches/training_step.py --memory gru --context 50 --batch 1000  # 20 sequences
+    .venv-bench/bin/python harness/benches/training_step.py --memory rssm --context 50 --batch 1000
 
 Prints JSON, with times in wall-clock seconds.
 """
@@ -29,11 +30,13 @@ from twin import (  # noqa: E402
     Dimensions,
     EarlyEncoder,
     LateEncoder,
+    Rssm,
     loss_terms,
     random_batch,
 )
 
 WARM_UP_STEPS = 3
+KL_WEIGHT = 0.01
 
 
 def arguments() -> argparse.Namespace:
@@ -55,7 +58,7 @@ def arguments() -> argparse.Namespace:
         help="bf16: forward pass with autocast, f32 parameters",
     )
     parser.add_argument("--latent", type=int, default=64)
-    parser.add_argument("--memory", choices=["none", "gru"], default="none")
+    parser.add_argument("--memory", choices=["none", "gru", "rssm"], default="none")
     parser.add_argument(
         "--recurrence",
         choices=["module", "cells"],
@@ -115,6 +118,37 @@ class Recurrent(nn.Module):
         return outputs if frame is None else outputs | {"output.frame": frame}
 
 
+class StateSpace(nn.Module):
+    """The CVAE with a recurrent state-space model between the encoder and the latent state.
+
+    The rows of one time lie together. The prior and the divergence are computed for all times at once.
+    """
+
+    def __init__(self, sizes: Dimensions, sequences: int):
+        super().__init__()
+        self.sizes, self.sequences = sizes, sequences
+        self.encoder = LateEncoder(sizes) if sizes.fusion == "late" else EarlyEncoder(sizes)
+        self.memory = Rssm(sizes)
+        self.decoder = Decoder(sizes)
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        encoded, action = self.encoder(batch["input.vector"], batch.get("input.frame")), batch["action"]
+        before = torch.cat([action.new_zeros(self.sequences, ACTION_SIZE), action[: -self.sequences]])
+        memory = action.new_zeros(self.sequences, self.sizes.hidden[-1])
+        latent = action.new_zeros(self.sequences, self.sizes.latent)
+        steps = []
+        for now in zip(*(rows.split(self.sequences) for rows in (before, encoded, batch["noise"]))):
+            memory, posterior = self.memory.step(memory, latent, *now[:2])
+            mean, log_variance = posterior.chunk(2, dim=1)
+            latent = mean + torch.exp(log_variance / 2) * now[2]
+            steps.append((memory, posterior, latent))
+        memory, posterior, latent = (torch.cat(part) for part in zip(*steps))
+        vector, frame = self.decoder(latent, action)
+        divergence = self.memory.balanced(memory, posterior).mean()
+        outputs = {"output.posterior": posterior, "output.vector": vector, "divergence": divergence}
+        return outputs if frame is None else outputs | {"output.frame": frame}
+
+
 def timed_steps(options: argparse.Namespace) -> list[float]:
     """Returns the seconds of each step, without the warm-up (which compiles the step in mode `compile`)."""
     frame_channels = 3 if options.channels else 0
@@ -128,8 +162,11 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
     )
     if options.batch % options.context:
         raise SystemExit(f"{options.batch} samples are no whole sequences of {options.context}")
+    sequences = options.batch // options.context
     if options.memory == "gru":
-        model = Recurrent(sizes, options.batch // options.context, options.recurrence)
+        model = Recurrent(sizes, sequences, options.recurrence)
+    elif options.memory == "rssm":
+        model = StateSpace(sizes, sequences)
     else:
         model = Cvae(sizes)
     batch = random_batch(sizes, options.batch)
@@ -146,7 +183,9 @@ def timed_steps(options: argparse.Namespace) -> list[float]:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.precision == "bf16"):
             outputs = model(batch)
         outputs = {name: value.float() for name, value in outputs.items()}
-        return loss_terms(outputs, batch, weights, kl_weight=0.01)["loss.total"]
+        if "divergence" in outputs:
+            return loss_terms(outputs, batch, weights, kl_weight=0.0)["loss.total"] + KL_WEIGHT * outputs["divergence"]
+        return loss_terms(outputs, batch, weights, KL_WEIGHT)["loss.total"]
 
     if options.mode == "compile":
         total_loss = torch.compile(total_loss)

@@ -9,9 +9,9 @@ use super::gru::{Gated, Parts, composed, fill_rows, gradients, next_states};
 use super::posterior::{add_gradients, draw};
 use super::{Arithmetic, TwoLayers, linear, sample, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use harness_kernels as kernels;
 use harness_kernels::product::{Accumulate, Matrix, product};
 use harness_kernels::repeated::Repeated;
+use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
@@ -95,13 +95,21 @@ pub fn rssm(
         return steps.composed([&of_actions, &of_encoded], given.noise, memory, latent);
     }
     let sizes = Sizes { batch, times: rows / batch, width, units, latent: size, arithmetic };
-    let flat = |tensors: &[&Tensor]| {
-        Tensor::cat(&tensors.iter().map(|tensor| tensor.flatten_all()).collect::<Result<Vec<_>>>()?, 0)
-    };
     // candle gives an op at most three arguments and takes one result.
-    let given_rows = flat(&[&of_actions, &of_encoded])?;
+    let Steps { latent_weight, memory: unit, hidden_weight, distribution } = steps;
+    let rest = [
+        latent_weight,
+        unit.weight,
+        unit.bias,
+        hidden_weight,
+        distribution.weight,
+        distribution.bias,
+        memory,
+        latent,
+    ];
     let op = Op { sizes, noise: given.noise.map(Tensor::contiguous).transpose()?, kept: OnceLock::new() };
-    let results = given_rows.apply_op3(&flat(&steps.tensors())?, &flat(&[memory, latent])?, op)?;
+    let rest = rest.map(Tensor::flatten_all).into_iter().collect::<Result<Vec<_>>>()?;
+    let results = of_actions.apply_op3(&of_encoded.contiguous()?, &Tensor::cat(&rest, 0)?, op)?;
     let (memories, distributions) = (rows * width, rows * 2 * size);
     Ok((
         results.narrow(0, 0, memories)?.reshape((rows, width))?,
@@ -121,13 +129,7 @@ struct Steps<'a> {
     distribution: Gated<'a>,
 }
 
-impl<'a> Steps<'a> {
-    /// Returns the parameters in the order of [`Sizes::parameters`].
-    fn tensors(&self) -> [&'a Tensor; 6] {
-        let Self { latent_weight, memory, hidden_weight, distribution } = self;
-        [latent_weight, memory.weight, memory.bias, hidden_weight, distribution.weight, distribution.bias]
-    }
-
+impl Steps<'_> {
     /// Computes the steps by candle's operations.
     fn composed(
         &self,
@@ -169,13 +171,13 @@ struct Op {
 /// What the steps compute beside their results, for all times.
 struct Kept {
     /// The unit's products with its inputs, `[times * batch, 3 * width]`.
-    input: Vec<f32>,
+    input: Buffer,
     /// The unit's products with the last memory, `[times * batch, 3 * width]`.
-    product: Vec<f32>,
+    product: Buffer,
     /// The hidden layer's output, `[times * batch, units]`.
-    hidden: Vec<f32>,
+    hidden: Buffer,
     /// The latent states, `[times * batch, latent]`.
-    latent: Vec<f32>,
+    latent: Buffer,
 }
 
 /// Sizes of the op's matrices.
@@ -220,21 +222,14 @@ impl Sizes {
         3 * self.width
     }
 
-    /// Lengths of the parts of the unit's and of the hidden layer's products that are computed before.
-    fn given(self) -> [usize; 2] {
-        [self.rows() * self.gates(), self.rows() * self.units]
-    }
-
-    /// Lengths of the parameters.
-    fn parameters(self) -> [usize; 6] {
-        let Self { width, units, latent, .. } = self;
+    /// Lengths of the parameters of [`Steps`], and of the memory and the latent state before the first time.
+    fn rest(self) -> [usize; 8] {
+        let Self { batch, width, units, latent, .. } = self;
         let gates = self.gates();
-        [gates * latent, gates * width, gates, units * width, 2 * latent * units, 2 * latent]
-    }
-
-    /// Lengths of the memory and the latent state before the first time.
-    fn start(self) -> [usize; 2] {
-        [self.batch * self.width, self.batch * self.latent]
+        let weights = [gates * latent, gates * width, units * width, 2 * latent * units];
+        let [latent_weight, memory_weight, hidden_weight, weight] = weights;
+        let start = [batch * width, batch * latent];
+        [latent_weight, memory_weight, gates, hidden_weight, weight, 2 * latent, start[0], start[1]]
     }
 
     /// Lengths of the memories and of the distributions.
@@ -250,18 +245,24 @@ impl Sizes {
     /// Computes the results of all times.
     fn forward(
         self,
-        given: &[f32],
-        parameters: &[f32],
-        start: &[f32],
+        [of_actions, of_encoded]: [&[f32]; 2],
+        rest: &[f32],
         noise: Option<&[f32]>,
         results: &mut [f32],
     ) -> Kept {
         let Self { width, units, latent, .. } = self;
         let (gates, rows) = (self.gates(), self.rows());
-        let [of_actions, of_encoded] = split(given, self.given());
-        let [latent_weight, memory_weight, memory_bias, hidden_weight, weight, bias] =
-            split(parameters, self.parameters());
-        let [memory_start, latent_start] = split(start, self.start());
+        let rest = split(rest, self.rest());
+        let [
+            latent_weight,
+            memory_weight,
+            memory_bias,
+            hidden_weight,
+            weight,
+            bias,
+            memory_start,
+            latent_start,
+        ] = rest;
         let transposed = |weight, outputs, inputs| self.repeated(Matrix::transposed(weight, outputs, inputs));
         let latent_product = transposed(latent_weight, gates, latent);
         let memory_product = transposed(memory_weight, gates, width);
@@ -269,10 +270,10 @@ impl Sizes {
         let distribution_product = transposed(weight, 2 * latent, units);
 
         let mut kept = Kept {
-            input: of_actions.to_vec(),
-            product: kernels::scratch(rows * gates),
-            hidden: of_encoded.to_vec(),
-            latent: kernels::scratch(rows * latent),
+            input: Buffer::new(rows * gates),
+            product: Buffer::new(rows * gates),
+            hidden: Buffer::new(rows * units),
+            latent: Buffer::new(rows * latent),
         };
         let [memories, distributions] = split_mut(results, self.results());
         let parts = Parts::new(self.batch, &memory_product);
@@ -289,10 +290,12 @@ impl Sizes {
             let mut last_latent = parts.of(latent_start, latent, part, 0);
             for (time, [input, product, hidden, drawn, memory, distribution]) in times.into_iter().enumerate()
             {
+                input.copy_from_slice(parts.of(of_actions, gates, part, time));
                 latent_product.add_product(last_latent, input, threads());
                 fill_rows(product, memory_bias);
                 memory_product.add_product(last_memory, product, threads());
                 next_states([input, product, last_memory], memory, width);
+                hidden.copy_from_slice(parts.of(of_encoded, units, part, time));
                 hidden_product.add_product(memory, hidden, threads());
                 hidden.iter_mut().for_each(|value| *value = value.max(0.0));
                 fill_rows(distribution, bias);
@@ -307,24 +310,22 @@ impl Sizes {
         kept
     }
 
-    /// Computes the gradients of the given products, of the parameters, and of the start. `grad` is the
-    /// gradient of the results. `is_drawn` says whether latent states are drawn or means.
+    /// Computes the gradients of the op's arguments. `grad` is the gradient of the results. `is_drawn` says whether the
+    /// latent states are drawn or means.
     fn backward(
         self,
         kept: &Kept,
-        parameters: &[f32],
-        start: &[f32],
+        rest: &[f32],
         results: &[f32],
         grad: &[f32],
         is_drawn: bool,
-    ) -> Gradients {
+    ) -> [Vec<f32>; 3] {
         let Self { width, units, latent, .. } = self;
         let (gates, rows) = (self.gates(), self.rows());
-        let [latent_weight, memory_weight, _, hidden_weight, weight, _] =
-            split(parameters, self.parameters());
+        let [latent_weight, memory_weight, _, hidden_weight, weight, _, memory_start, latent_start] =
+            split(rest, self.rest());
         let [grad_memory, grad_distribution] = split(grad, self.results());
         let [memories, distributions] = split(results, self.results());
-        let [memory_start, latent_start] = split(start, self.start());
         // The values before each time.
         let (last_memory, last_latent) = (before(memory_start, memories), before(latent_start, &kept.latent));
         let plain = |weight, rows, columns| self.repeated(Matrix::plain(weight, rows, columns));
@@ -333,19 +334,28 @@ impl Sizes {
         let hidden_product = plain(hidden_weight, units, width);
         let distribution_product = plain(weight, 2 * latent, units);
 
-        let mut of_given = kernels::scratch(self.given().iter().sum());
-        let mut of_start = vec![0.0; self.start().iter().sum()];
-        let mut of_product = kernels::scratch(rows * gates);
-        let mut of_distribution = grad_distribution.to_vec();
+        let (mut of_input, mut of_hidden) = (kernels::scratch(rows * gates), kernels::scratch(rows * units));
+        let (mut of_product, mut of_distribution) =
+            (Buffer::new(rows * gates), Buffer::new(rows * 2 * latent));
+        of_distribution.copy_from_slice(grad_distribution);
+        let mut of_rest = vec![0.0; self.rest().iter().sum()];
+        let [
+            of_latent_weight,
+            of_memory_weight,
+            of_memory_bias,
+            of_hidden_weight,
+            of_weight,
+            of_bias,
+            of_memory,
+            of_latent,
+        ] = split_mut(&mut of_rest, self.rest());
         let parts = Parts::new(self.batch, &memory_product);
-        let [of_input, of_hidden] = split_mut(&mut of_given, self.given());
         let of_times = parts.of_mut([
-            (&mut *of_input, gates),
+            (&mut of_input, gates),
             (&mut of_product, gates),
-            (&mut *of_hidden, units),
+            (&mut of_hidden, units),
             (&mut of_distribution, 2 * latent),
         ]);
-        let [of_memory, of_latent] = split_mut(&mut of_start, self.start());
         let of_starts =
             of_memory.par_chunks_mut(parts.rows * width).zip(of_latent.par_chunks_mut(parts.rows * latent));
         let of_parts = of_times.into_par_iter().zip(of_starts).enumerate();
@@ -371,28 +381,18 @@ impl Sizes {
             }
         });
 
-        let mut of_parameters = kernels::scratch(self.parameters().iter().sum());
-        let [of_latent_weight, of_memory_weight, of_memory_bias, of_hidden_weight, of_weight, of_bias] =
-            split_mut(&mut of_parameters, self.parameters());
         let weight_gradient = |of: &[f32], outputs: usize, values: &[f32], inputs: usize, out: &mut [f32]| {
             let (of, values) = (Matrix::transposed(of, rows, outputs), Matrix::plain(values, rows, inputs));
             product(of, values, out, Accumulate::Overwrite, self.arithmetic, threads());
         };
-        weight_gradient(of_input, gates, &last_latent, latent, of_latent_weight);
+        weight_gradient(&of_input, gates, &last_latent, latent, of_latent_weight);
         weight_gradient(&of_product, gates, &last_memory, width, of_memory_weight);
-        weight_gradient(of_hidden, units, memories, width, of_hidden_weight);
+        weight_gradient(&of_hidden, units, memories, width, of_hidden_weight);
         weight_gradient(&of_distribution, 2 * latent, &kept.hidden, units, of_weight);
         of_memory_bias.copy_from_slice(&kernels::column_sums(&of_product, gates));
         of_bias.copy_from_slice(&kernels::column_sums(&of_distribution, 2 * latent));
-        Gradients { given: of_given, parameters: of_parameters, start: of_start }
+        [of_input, of_hidden, of_rest]
     }
-}
-
-/// The gradients of the op's arguments.
-struct Gradients {
-    given: Vec<f32>,
-    parameters: Vec<f32>,
-    start: Vec<f32>,
 }
 
 /// Sets latent states to the means of their distributions.
@@ -421,18 +421,17 @@ impl CustomOp3 for Op {
 
     fn cpu_fwd(
         &self,
-        given: &CpuStorage,
-        given_layout: &Layout,
-        parameters: &CpuStorage,
-        parameters_layout: &Layout,
-        start: &CpuStorage,
-        start_layout: &Layout,
+        of_actions: &CpuStorage,
+        of_actions_layout: &Layout,
+        of_encoded: &CpuStorage,
+        of_encoded_layout: &Layout,
+        rest: &CpuStorage,
+        rest_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (given, parameters, start) =
-            (slice(given, given_layout)?, slice(parameters, parameters_layout)?, slice(start, start_layout)?);
+        let given = [slice(of_actions, of_actions_layout)?, slice(of_encoded, of_encoded_layout)?];
+        let rest = slice(rest, rest_layout)?;
         let mut results = kernels::scratch(self.sizes.results().iter().sum());
-        let mut forward =
-            |noise: Option<&[f32]>| self.sizes.forward(given, parameters, start, noise, &mut results);
+        let mut forward = |noise: Option<&[f32]>| self.sizes.forward(given, rest, noise, &mut results);
         let kept = match &self.noise {
             Some(noise) => with_values(noise, |noise| Ok(forward(Some(noise))))?,
             None => forward(None),
@@ -444,27 +443,23 @@ impl CustomOp3 for Op {
 
     fn bwd(
         &self,
-        given: &Tensor,
-        parameters: &Tensor,
-        start: &Tensor,
+        of_actions: &Tensor,
+        of_encoded: &Tensor,
+        rest: &Tensor,
         results: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let Some(kept) = self.kept.get() else { bail!("the steps have no products to go back from") };
         let is_drawn = self.noise.is_some();
-        let of = with_values(parameters, |parameters| {
-            with_values(start, |start| {
-                with_values(results, |results| {
-                    with_values(grad, |grad| {
-                        Ok(self.sizes.backward(kept, parameters, start, results, grad, is_drawn))
-                    })
-                })
+        let [actions, encoded, others] = with_values(rest, |rest| {
+            with_values(results, |results| {
+                with_values(grad, |grad| Ok(self.sizes.backward(kept, rest, results, grad, is_drawn)))
             })
         })?;
         Ok((
-            Some(tensor(of.given, given.shape())?),
-            Some(tensor(of.parameters, parameters.shape())?),
-            Some(tensor(of.start, start.shape())?),
+            Some(tensor(actions, of_actions.shape())?),
+            Some(tensor(encoded, of_encoded.shape())?),
+            Some(tensor(others, rest.shape())?),
         ))
     }
 }

@@ -5,7 +5,9 @@ use harness_judge::{MetricRow, Persistence, Predictor, Test, judge};
 use harness_learning::network::{Network as Predicting, Posterior, Seen, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
-use harness_ops::{Arithmetic, Gated, Sequences, StateSpace, TwoLayers, gru, rssm, sample, two_layers};
+use harness_ops::{
+    Arithmetic, Gated, Sequences, StateSpace, TwoLayers, balanced_divergence, gru, rssm, sample, two_layers,
+};
 use harness_spec::WindowStart;
 
 /// All kinds of memory.
@@ -198,8 +200,9 @@ fn the_divergence_of_two_posteriors_is_that_of_gaussians() {
         let row = |values: [f32; 2]| Tensor::new(&[values], &Device::Cpu).unwrap();
         Posterior::new(&row(mean), &row(variance.map(f32::ln))).unwrap()
     };
-    let nats =
-        |from: &Posterior, to: &Posterior| from.divergence_from(to).unwrap().to_vec1::<f32>().unwrap()[0];
+    let nats = |from: &Posterior, to: &Posterior| {
+        from.balanced_divergence(to, 0.0, 0.0).unwrap().to_scalar::<f32>().unwrap()
+    };
     let (wide, narrow) = (of([1.0, -2.0], [4.0, 1.0]), of([0.0, -2.0], [1.0, 0.25]));
     // Half of the sum of variance ratio, squared distance by variance, -1, and the logarithm of the variance ratio.
     let expected = |ratios: [f32; 2], distance: f32| {
@@ -211,6 +214,33 @@ fn the_divergence_of_two_posteriors_is_that_of_gaussians() {
     let normal = of([0.0, 0.0], [1.0, 1.0]);
     let mean = scalar(&wide.kl_divergence().unwrap()).unwrap() as f32;
     assert!((nats(&wide, &normal) - mean).abs() < 1e-5);
+}
+
+#[test]
+fn gradients_of_the_balanced_divergence_are_finite_differences() {
+    let mut random = random(12);
+    let [posterior, prior] = [(); 2].map(|()| variable(&mut random, &[7, 6]));
+    let free = 3.0;
+    let nats = |row: usize| {
+        let [posterior, prior] = [&posterior, &prior].map(|of| of.narrow(0, row, 1).unwrap());
+        scalar(&balanced_divergence(&posterior, &prior, 0.0, 0.0).unwrap()).unwrap()
+    };
+    let above = (0..7).filter(|row| nats(*row) > free).count();
+    assert!((2..6).contains(&above), "{above} rows diverge by more than {free} nats");
+    assert_gradients(std::slice::from_ref(&prior), |prior| {
+        balanced_divergence(posterior.as_tensor(), &prior[0], free, 0.0)
+    });
+    // The value is that of both parts, and the gradient that of the second.
+    assert_gradients(std::slice::from_ref(&posterior), |posterior| {
+        let (posterior, prior) = (&posterior[0], &prior.as_detached_tensor());
+        balanced_divergence(posterior, prior, free, 1.0)?
+            - balanced_divergence(&posterior.detach(), prior, free, 0.0)?
+    });
+    let both = balanced_divergence(posterior.as_tensor(), prior.as_tensor(), free, 0.1).unwrap();
+    let one = balanced_divergence(posterior.as_tensor(), prior.as_tensor(), free, 0.0).unwrap();
+    assert!((scalar(&both).unwrap() / scalar(&one).unwrap() - 1.1).abs() < 1e-6);
+    let [of_both, of_one] = [both, one].map(|value| value.backward().unwrap());
+    assert!(close(of_both.get(&prior).unwrap(), of_one.get(&prior).unwrap()));
 }
 
 #[test]

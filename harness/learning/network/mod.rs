@@ -556,21 +556,13 @@ impl Posterior {
         ops::sample(&self.0, noise)
     }
 
-    /// Returns the divergence of each row from that of `prior` in nats, `[batch]`.
+    /// Returns the divergence from `prior` as a loss of both, averaged over the batch; a scalar, in nats. The posterior
+    /// learns with the weight `representation`. Rows below `free` nats count as `free`.
     ///
     /// # Errors
     /// When the distributions have different shapes.
-    pub fn divergence_from(&self, prior: &Self) -> Result<Tensor> {
-        let (log_variance, log_prior) = (self.log_variance()?, prior.log_variance()?);
-        let distance = (self.mean()? - prior.mean()?)?.sqr()?;
-        let ratio = ((log_variance.exp()? + distance)? / log_prior.exp()?)?;
-        let nats = (((log_prior - log_variance)? + ratio)? - 1.0)?;
-        nats.sum(1)? * 0.5
-    }
-
-    /// Returns the same distribution without gradients.
-    pub fn detached(&self) -> Self {
-        Self(self.0.detach())
+    pub fn balanced_divergence(&self, prior: &Self, free: f64, representation: f64) -> Result<Tensor> {
+        ops::balanced_divergence(&self.0, &prior.0, free, representation)
     }
 
     /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.

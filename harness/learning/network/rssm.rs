@@ -61,15 +61,6 @@ impl Rssm {
     }
 }
 
-/// Returns the loss of the divergence of `posterior` from `prior`, averaged over the batch. The prior learns from one
-/// part, and the posterior from the other one, which has a smaller weight.
-fn balanced(posterior: &Posterior, prior: &Posterior) -> Result<Tensor> {
-    let of = |posterior: &Posterior, prior: &Posterior| {
-        posterior.divergence_from(prior)?.maximum(FREE_NATS)?.mean_all()
-    };
-    of(&posterior.detached(), prior)? + (of(posterior, &prior.detached())? * REPRESENTATION)?
-}
-
 impl Unit for Rssm {
     fn width(&self) -> usize {
         self.cell.width
@@ -89,7 +80,7 @@ impl Unit for Rssm {
             None => posterior.mean()?,
         };
         let prior = Posterior(self.prior.forward(&memory, false)?);
-        let divergence = balanced(&posterior, &prior)?;
+        let divergence = posterior.balanced_divergence(&prior, FREE_NATS, REPRESENTATION)?;
         Ok(Seen { state: State { latent, action: None, memory: Some(memory) }, divergence })
     }
 
