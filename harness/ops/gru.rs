@@ -356,7 +356,7 @@ pub(super) fn fill_rows(rows: &mut [f32], values: &[f32]) {
     rows.chunks_exact_mut(values.len()).for_each(|row| row.copy_from_slice(values));
 }
 
-/// Computes the states of one time from the products with the inputs and with the last states, and from the last states.
+/// Computes the states of one time from those before it, and from the products with the inputs and with those states.
 pub(super) fn next_states([input, hidden, last]: [&[f32]; 3], states: &mut [f32], width: usize) {
     let rows = input.chunks_exact(3 * width).zip(hidden.chunks_exact(3 * width));
     let rows = rows.zip(last.chunks_exact(width)).zip(states.chunks_exact_mut(width));

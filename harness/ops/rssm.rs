@@ -97,7 +97,7 @@ pub fn rssm(
     let sizes = Sizes { batch, times: rows / batch, width, units, latent: size, arithmetic };
     // candle gives an op at most three arguments and takes one result.
     let Steps { latent_weight, memory: unit, hidden_weight, distribution } = steps;
-    let rest = [
+    let packed = [
         latent_weight,
         unit.weight,
         unit.bias,
@@ -108,8 +108,8 @@ pub fn rssm(
         latent,
     ];
     let op = Op { sizes, noise: given.noise.map(Tensor::contiguous).transpose()?, kept: OnceLock::new() };
-    let rest = rest.map(Tensor::flatten_all).into_iter().collect::<Result<Vec<_>>>()?;
-    let results = of_actions.apply_op3(&of_encoded.contiguous()?, &Tensor::cat(&rest, 0)?, op)?;
+    let packed = packed.map(Tensor::flatten_all).into_iter().collect::<Result<Vec<_>>>()?;
+    let results = of_actions.apply_op3(&of_encoded.contiguous()?, &Tensor::cat(&packed, 0)?, op)?;
     let (memories, distributions) = (rows * width, rows * 2 * size);
     Ok((
         results.narrow(0, 0, memories)?.reshape((rows, width))?,
@@ -223,13 +223,19 @@ impl Sizes {
     }
 
     /// Lengths of the parameters of [`Steps`], and of the memory and the latent state before the first time.
-    fn rest(self) -> [usize; 8] {
+    fn packed(self) -> [usize; 8] {
         let Self { batch, width, units, latent, .. } = self;
         let gates = self.gates();
-        let weights = [gates * latent, gates * width, units * width, 2 * latent * units];
-        let [latent_weight, memory_weight, hidden_weight, weight] = weights;
-        let start = [batch * width, batch * latent];
-        [latent_weight, memory_weight, gates, hidden_weight, weight, 2 * latent, start[0], start[1]]
+        [
+            gates * latent,
+            gates * width,
+            gates,
+            units * width,
+            2 * latent * units,
+            2 * latent,
+            batch * width,
+            batch * latent,
+        ]
     }
 
     /// Lengths of the memories and of the distributions.
@@ -246,13 +252,12 @@ impl Sizes {
     fn forward(
         self,
         [of_actions, of_encoded]: [&[f32]; 2],
-        rest: &[f32],
+        packed: &[f32],
         noise: Option<&[f32]>,
         results: &mut [f32],
     ) -> Kept {
         let Self { width, units, latent, .. } = self;
         let (gates, rows) = (self.gates(), self.rows());
-        let rest = split(rest, self.rest());
         let [
             latent_weight,
             memory_weight,
@@ -262,7 +267,7 @@ impl Sizes {
             bias,
             memory_start,
             latent_start,
-        ] = rest;
+        ] = split(packed, self.packed());
         let transposed = |weight, outputs, inputs| self.repeated(Matrix::transposed(weight, outputs, inputs));
         let latent_product = transposed(latent_weight, gates, latent);
         let memory_product = transposed(memory_weight, gates, width);
@@ -315,7 +320,7 @@ impl Sizes {
     fn backward(
         self,
         kept: &Kept,
-        rest: &[f32],
+        packed: &[f32],
         results: &[f32],
         grad: &[f32],
         is_drawn: bool,
@@ -323,7 +328,7 @@ impl Sizes {
         let Self { width, units, latent, .. } = self;
         let (gates, rows) = (self.gates(), self.rows());
         let [latent_weight, memory_weight, _, hidden_weight, weight, _, memory_start, latent_start] =
-            split(rest, self.rest());
+            split(packed, self.packed());
         let [grad_memory, grad_distribution] = split(grad, self.results());
         let [memories, distributions] = split(results, self.results());
         // The values before each time.
@@ -338,7 +343,7 @@ impl Sizes {
         let (mut of_product, mut of_distribution) =
             (Buffer::new(rows * gates), Buffer::new(rows * 2 * latent));
         of_distribution.copy_from_slice(grad_distribution);
-        let mut of_rest = vec![0.0; self.rest().iter().sum()];
+        let mut of_packed = vec![0.0; self.packed().iter().sum()];
         let [
             of_latent_weight,
             of_memory_weight,
@@ -348,7 +353,7 @@ impl Sizes {
             of_bias,
             of_memory,
             of_latent,
-        ] = split_mut(&mut of_rest, self.rest());
+        ] = split_mut(&mut of_packed, self.packed());
         let parts = Parts::new(self.batch, &memory_product);
         let of_times = parts.of_mut([
             (&mut of_input, gates),
@@ -391,7 +396,7 @@ impl Sizes {
         weight_gradient(&of_distribution, 2 * latent, &kept.hidden, units, of_weight);
         of_memory_bias.copy_from_slice(&kernels::column_sums(&of_product, gates));
         of_bias.copy_from_slice(&kernels::column_sums(&of_distribution, 2 * latent));
-        [of_input, of_hidden, of_rest]
+        [of_input, of_hidden, of_packed]
     }
 }
 
@@ -425,13 +430,13 @@ impl CustomOp3 for Op {
         of_actions_layout: &Layout,
         of_encoded: &CpuStorage,
         of_encoded_layout: &Layout,
-        rest: &CpuStorage,
-        rest_layout: &Layout,
+        packed: &CpuStorage,
+        packed_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let given = [slice(of_actions, of_actions_layout)?, slice(of_encoded, of_encoded_layout)?];
-        let rest = slice(rest, rest_layout)?;
+        let packed = slice(packed, packed_layout)?;
         let mut results = kernels::scratch(self.sizes.results().iter().sum());
-        let mut forward = |noise: Option<&[f32]>| self.sizes.forward(given, rest, noise, &mut results);
+        let mut forward = |noise: Option<&[f32]>| self.sizes.forward(given, packed, noise, &mut results);
         let kept = match &self.noise {
             Some(noise) => with_values(noise, |noise| Ok(forward(Some(noise))))?,
             None => forward(None),
@@ -445,21 +450,21 @@ impl CustomOp3 for Op {
         &self,
         of_actions: &Tensor,
         of_encoded: &Tensor,
-        rest: &Tensor,
+        packed: &Tensor,
         results: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let Some(kept) = self.kept.get() else { bail!("the steps have no products to go back from") };
         let is_drawn = self.noise.is_some();
-        let [actions, encoded, others] = with_values(rest, |rest| {
+        let [actions, encoded, others] = with_values(packed, |packed| {
             with_values(results, |results| {
-                with_values(grad, |grad| Ok(self.sizes.backward(kept, rest, results, grad, is_drawn)))
+                with_values(grad, |grad| Ok(self.sizes.backward(kept, packed, results, grad, is_drawn)))
             })
         })?;
         Ok((
             Some(tensor(actions, of_actions.shape())?),
             Some(tensor(encoded, of_encoded.shape())?),
-            Some(tensor(others, rest.shape())?),
+            Some(tensor(others, packed.shape())?),
         ))
     }
 }

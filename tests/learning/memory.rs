@@ -122,8 +122,8 @@ fn steps_of_a_state_space_model_are_those_of_single_ops() {
     }
 }
 
-/// Compares the steps of a state-space model, whose distribution takes so many values of an encoded sample, with a unit,
-/// two layers and a drawn state at each time, and its gradients with finite differences.
+/// Compares the steps of a state-space model with a unit, two layers and a drawn state at each time, and its gradients
+/// with finite differences. The distribution takes so many values of an encoded sample.
 fn assert_state_space(width: usize, encoded: usize, drawn: bool) {
     let mut random = random(7);
     let (times, batch, action, latent, units) = (4, 3, 2, 3, 6);
@@ -143,7 +143,7 @@ fn assert_state_space(width: usize, encoded: usize, drawn: bool) {
         &[2 * latent],
     ];
     let noise = normal(&mut random, &[rows, latent]);
-    // A log-variance grows with the latent state before it, so parameters of 1 would let the states grow without bounds.
+    // A log-variance grows with the latent state before it. With parameters of 1, the states would grow without bounds.
     let small = |shape: &[usize]| Var::from_tensor(&(normal(&mut random, shape) * 0.3).unwrap()).unwrap();
     let mut given = shapes.map(small).to_vec();
     let noise = drawn.then_some(&noise);
