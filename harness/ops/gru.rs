@@ -131,10 +131,7 @@ impl Parts {
     }
 
     /// Returns the values of each part at each time, for several matrices with their numbers of columns.
-    pub fn of_mut<'a, const N: usize>(
-        self,
-        matrices: [(&'a mut [f32], usize); N],
-    ) -> Vec<Vec<[&'a mut [f32]; N]>> {
+    pub fn of_mut<const N: usize>(self, matrices: [(&mut [f32], usize); N]) -> Vec<Vec<[&mut [f32]; N]>> {
         let mut parts: Vec<_> = (0..self.batch.div_ceil(self.rows)).map(|_| Vec::new()).collect();
         let mut times = matrices.map(|(values, columns)| {
             let times = values.chunks_exact_mut(self.batch * columns);
