@@ -122,6 +122,12 @@ fn a_figure_with_too_many_series_leaves_out_ridge() {
         "{words:?}"
     );
     assert!(words.contains("all_senses") && words.contains("persistence"), "{words:?}");
+    // These are 15, so the last networks are left out.
+    let others = ["angles_rssm", "angles_and_arm_rssm", "angles_arm_and_touch_short"];
+    let words = drawn(&[&vectors[..], &more, &all, &others].concat());
+    assert!(words.iter().any(|text| text.ends_with("training mean, 3 of 14 networks")), "{words:?}");
+    assert!(words.contains("angles_and_arm_rssm") && words.contains("persistence"), "{words:?}");
+    assert!(!words.contains("all_senses"), "{words:?}");
 }
 
 #[test]

@@ -27,7 +27,7 @@ const SPREAD: f64 = 0.5;
 /// Draws the figure.
 ///
 /// # Errors
-/// When there are no runs, they predict only the next sample or not the modality, there are too many series, or a table
+/// When there are no runs, they predict only the next sample or not the modality, there are too many panels, or a table
 /// can't be read.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let (analysis, experiment) = (source.analysis, source.experiments.horizons.as_str());
@@ -72,12 +72,10 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
         });
         draw_rows(&rows, left_out, &labels, &horizons, seconds)
     };
-    // Each input has its own ridge regression. The other baselines have one line each. That of the training mean says
-    // least, because it is at an R² of about 0.
     let mut drawn = draw(&[]);
-    for left_out in [&[models::RIDGE][..], &[models::RIDGE, models::TRAINING_MEAN]] {
+    for count in 1..=OPTIONAL.len() {
         if matches!(drawn, Err(FigureError::TooMany { .. })) {
-            drawn = draw(left_out);
+            drawn = draw(&OPTIONAL[..count]);
         }
     }
     drawn
@@ -88,6 +86,11 @@ struct Row {
     plot: Plot,
     means: Vec<Mean>,
 }
+
+/// The baselines that are left out of a figure with too many series, one after the other. After them, the last networks
+/// are. Each input has its own ridge regression. The other baselines have one line each. That of the training mean says
+/// least, because it is at an R² of about 0.
+const OPTIONAL: [&str; 2] = [models::RIDGE, models::TRAINING_MEAN];
 
 /// Draws the rows, without the models that were left out. `horizons` are in samples, of which each takes `seconds`, if
 /// that is known.
@@ -102,9 +105,15 @@ fn draw_rows(
     let panels = values(Key::Scenario, &errors.means, labels);
     let slots = values(Key::Horizon, &errors.means, labels);
     errors.plot.check(&errors.means, labels)?;
-    let all = [errors, skills].map(|row| row.plot.series(&row.means, &panels, &slots, labels));
-    if all[0].len() > MOST_SERIES || 2 * panels.len() > MOST_PANELS {
+    let mut all = [errors, skills].map(|row| row.plot.series(&row.means, &panels, &slots, labels));
+    let networks = all[0].iter().filter(|one| one.is_network).count();
+    let surplus = all[0].len().saturating_sub(MOST_SERIES);
+    let most = if left_out == OPTIONAL { networks } else { 0 };
+    if surplus > most || 2 * panels.len() > MOST_PANELS {
         return Err(FigureError::TooMany { series: all[0].len(), panels: 2 * panels.len() });
+    }
+    for series in &mut all {
+        series.drain(networks - surplus..networks);
     }
     let entries: Vec<(Look, &str)> = all[0].iter().map(|one| (one.look, one.name.as_str())).collect();
     let legends = rows_of(&entries);
@@ -124,7 +133,8 @@ fn draw_rows(
         |place: usize| rows[place].plot.beyond(&all[place], &panels, &named, &scales[place]([0.0, 1.0]));
     let persistence =
         "skill: 1 \u{2212} squared error / that of persistence; gray line: persistence".to_owned();
-    let absent: Vec<String> = left_out.iter().map(|model| model.replace('_', " ")).collect();
+    let cut = (surplus > 0).then(|| format!("{surplus} of {networks} networks"));
+    let absent: Vec<String> = left_out.iter().map(|model| model.replace('_', " ")).chain(cut).collect();
     let missing = (!absent.is_empty())
         .then(|| format!("not shown, because of more than {MOST_SERIES} series: {}", absent.join(", ")));
     let noted = notes(&errors.means, &[beyond(0), beyond(1)].concat(), &scales[0]([0.0, 1.0]));

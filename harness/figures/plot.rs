@@ -63,6 +63,8 @@ pub(super) struct Series<'a> {
     pub name: String,
     /// How it looks.
     pub look: Look,
+    /// Whether it is of networks. They come before the baselines.
+    pub is_network: bool,
     spots: Vec<Spot<'a>>,
 }
 
@@ -191,7 +193,7 @@ impl Plot {
         let own: Vec<Values> = networks.keys().cloned().collect();
         let network = |(place, (by, spots)): (usize, (Values, Vec<Spot<'a>>))| {
             let name = if by.is_empty() { NETWORK.to_owned() } else { words(&by) };
-            Series { name, look: look(place), spots }
+            Series { name, look: look(place), is_network: true, spots }
         };
         let mut series: Vec<Series> = networks.into_iter().enumerate().map(network).collect();
         let order =
@@ -205,7 +207,8 @@ impl Plot {
             let mark = BASELINE_MARKS[mark.unwrap_or_default() % BASELINE_MARKS.len()];
             let model = model.replace('_', " ");
             let name = if by.is_empty() { model } else { format!("{}, {model}", words(&by)) };
-            series.push(Series { name, look: Look { color, mark, hollow: true, line: Line::Dashed }, spots });
+            let look = Look { color, mark, hollow: true, line: Line::Dashed };
+            series.push(Series { name, look, is_network: false, spots });
         }
         if !self.is_ordered(slots) {
             series.iter_mut().for_each(|one| one.look.line = Line::None);
