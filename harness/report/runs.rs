@@ -106,9 +106,7 @@ fn details(record: &RunRecord) -> Vec<(&'static str, String)> {
     let details = [
         ("run", Some(record.run.clone())),
         ("failed", record.reason.clone()),
-        ("spec", Some(record.spec_hash.clone())),
         ("dataset", Some(record.dataset.clone())),
-        ("seed", Some(record.spec.seed.to_string())),
         ("commit", commit),
         ("started", Some(record.started.clone())),
         ("time", stages),

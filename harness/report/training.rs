@@ -1,20 +1,20 @@
 //! Collects the losses of trainings by epoch.
 
-use super::{Asked, rounded};
+use super::{Asked, rounded, short};
 use harness_catalog::{QueryError, RunTable};
 use harness_registry::{Registry, RunRecord, Status};
 use harness_spec::RunSpec;
 use harness_tables::schema::Table;
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest number of epochs per training in the page. They are evenly chosen and include the first and the last.
 const EPOCHS: usize = 100;
 /// Target for the number of epochs of all trainings together. If there are many trainings, the long ones have fewer
 /// epochs, but at least [`FEWEST_EPOCHS`].
-const ALL_EPOCHS: usize = 25_000;
-/// Significant digits of a loss. Losses are most of the page's data.
+const ALL_EPOCHS: usize = 23_600;
+/// Significant digits of the losses of a training with more epochs than the page has. They are most of the page's data.
 const DIGITS: usize = 4;
 /// Least number of epochs per training in the page, if the training has as many.
 const FEWEST_EPOCHS: usize = 10;
@@ -104,22 +104,23 @@ struct Row<'a> {
 
 impl Curves {
     fn new(experiment: &str, run: &str, task: &str, rows: &[Row], kept: usize) -> Self {
-        let epochs = thinned(rows.iter().map(|row| row.epoch).collect(), kept);
+        let all: BTreeSet<i64> = rows.iter().map(|row| row.epoch).collect();
+        let is_long = all.len() > kept;
+        let epochs = thinned(all.into_iter().collect(), kept);
         let mut terms: BTreeMap<String, BTreeMap<String, Vec<Option<f64>>>> = BTreeMap::new();
         for row in rows {
             let Ok(place) = epochs.binary_search(&row.epoch) else { continue };
             let splits = terms.entry(row.term.to_owned()).or_default();
             let values = splits.entry(row.split.to_owned()).or_insert_with(|| vec![None; epochs.len()]);
-            values[place] = row.value.map(|value| rounded(value, DIGITS));
+            values[place] =
+                row.value.map(|value| if is_long { rounded(value, DIGITS) } else { short(value) });
         }
         Self { experiment: experiment.to_owned(), run: run.to_owned(), task: task.to_owned(), epochs, terms }
     }
 }
 
-/// Sorts epochs and chooses at most `kept` of them evenly.
-fn thinned(mut all: Vec<i64>, kept: usize) -> Vec<i64> {
-    all.sort_unstable();
-    all.dedup();
+/// Chooses at most `kept` epochs evenly.
+fn thinned(all: Vec<i64>, kept: usize) -> Vec<i64> {
     if all.len() <= kept {
         return all;
     }
