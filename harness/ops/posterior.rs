@@ -301,7 +301,9 @@ impl CustomOp2 for Balanced {
     ) -> Result<(CpuStorage, Shape)> {
         let (batch, width) = posterior_layout.shape().dims2()?;
         let nats = Self::nats(slice(posterior, posterior_layout)?, slice(prior, prior_layout)?, width);
-        let counted: f64 = nats.into_iter().map(|nats| f64::from(nats.max(self.free))).sum();
+        // A divergence that is not a number stays so.
+        let counted = |nats: f32| f64::from(if nats < self.free { self.free } else { nats });
+        let counted: f64 = nats.into_iter().map(counted).sum();
         let loss = counted / batch as f64 * (1.0 + f64::from(self.representation));
         Ok((CpuStorage::F32(vec![loss as f32]), ().into()))
     }

@@ -239,6 +239,9 @@ fn gradients_of_the_balanced_divergence_are_finite_differences() {
     let both = balanced_divergence(posterior.as_tensor(), prior.as_tensor(), free, 0.1).unwrap();
     let one = balanced_divergence(posterior.as_tensor(), prior.as_tensor(), free, 0.0).unwrap();
     assert!((scalar(&both).unwrap() / scalar(&one).unwrap() - 1.1).abs() < 1e-6);
+    let unknown = Tensor::full(f32::NAN, (7, 6), &Device::Cpu).unwrap();
+    let lost = balanced_divergence(&unknown, prior.as_tensor(), free, 0.1).unwrap();
+    assert!(scalar(&lost).unwrap().is_nan());
     let [of_both, of_one] = [both, one].map(|value| value.backward().unwrap());
     assert!(close(of_both.get(&prior).unwrap(), of_one.get(&prior).unwrap()));
 }
