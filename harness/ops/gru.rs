@@ -5,6 +5,7 @@
 //! products over all steps at once. The weight of the product with the last state is packed once for all steps, and
 //! each thread takes its sequences through all of them, so that threads do not wait for each other at each step.
 
+use super::linear::weight_gradient;
 use super::{Arithmetic, linear, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use candle_nn::ops::sigmoid;
@@ -266,7 +267,7 @@ impl Sizes {
 
     /// Returns the gradients of the parameters, in one vector.
     fn parameter_gradients(self, of_products: &Products, inputs: &[f32], last: &[f32]) -> Vec<f32> {
-        let (width, gates, rows) = (self.width, 3 * self.width, last.len() / self.width);
+        let (width, gates) = (self.width, 3 * self.width);
         let mut packed = kernels::scratch(self.input_len() + gates * (width + 1));
         let (of_input, of_hidden) = packed.split_at_mut(self.input_len());
         let sides = [
@@ -275,9 +276,7 @@ impl Sizes {
         ];
         for (of_gates, values, columns, wanted) in sides {
             let (of_weight, of_bias) = wanted.split_at_mut(gates * columns);
-            let of_rows = Matrix::transposed(of_gates, rows, gates);
-            let values = Matrix::plain(values, rows, columns);
-            product(of_rows, values, of_weight, Accumulate::Overwrite, self.arithmetic, threads());
+            weight_gradient(of_gates, values, [gates, columns], of_weight, self.arithmetic);
             of_bias.copy_from_slice(&kernels::column_sums(of_gates, gates));
         }
         packed

@@ -78,24 +78,35 @@ impl Linear {
         grad: &[f32],
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let ((batch, inputs), outputs) = (x.dims2()?, w.dim(0)?);
-        let (plain, transposed) =
-            (Matrix::plain(grad, batch, outputs), Matrix::transposed(grad, batch, outputs));
         let grad_x = x.track_op().then(|| {
             let mut grad_x = kernels::scratch(batch * inputs);
             with_values(w, |w| {
-                let w = Matrix::plain(w, outputs, inputs);
-                product(plain, w, &mut grad_x, Accumulate::Overwrite, self.arithmetic, threads());
+                let (grad, w) = (Matrix::plain(grad, batch, outputs), Matrix::plain(w, outputs, inputs));
+                product(grad, w, &mut grad_x, Accumulate::Overwrite, self.arithmetic, threads());
                 Ok(())
             })?;
             tensor(grad_x, (batch, inputs))
         });
         let mut grad_w = kernels::scratch(outputs * inputs);
         with_values(x, |x| {
-            let x = Matrix::plain(x, batch, inputs);
-            product(transposed, x, &mut grad_w, Accumulate::Overwrite, self.arithmetic, threads());
+            weight_gradient(grad, x, [outputs, inputs], &mut grad_w, self.arithmetic);
             Ok(())
         })?;
         let grad_b = tensor(kernels::column_sums(grad, outputs), outputs)?;
         Ok((grad_x.transpose()?, Some(tensor(grad_w, (outputs, inputs))?), Some(grad_b)))
     }
+}
+
+/// Computes the gradient of a weight `[outputs, inputs]` from the rows that it was multiplied with, `[n, inputs]`, and
+/// the gradient of the products, `[n, outputs]`.
+pub(super) fn weight_gradient(
+    grad: &[f32],
+    rows: &[f32],
+    [outputs, inputs]: [usize; 2],
+    wanted: &mut [f32],
+    arithmetic: Arithmetic,
+) {
+    let count = rows.len() / inputs;
+    let (grad, rows) = (Matrix::transposed(grad, count, outputs), Matrix::plain(rows, count, inputs));
+    product(grad, rows, wanted, Accumulate::Overwrite, arithmetic, threads());
 }

@@ -6,10 +6,11 @@
 //! unit.
 
 use super::gru::{Gated, Parts, composed, fill_rows, gradients, next_states};
+use super::linear::weight_gradient;
 use super::posterior::{add_gradients, draw};
 use super::{Arithmetic, TwoLayers, linear, sample, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use harness_kernels::product::{Accumulate, Matrix, product};
+use harness_kernels::product::Matrix;
 use harness_kernels::repeated::Repeated;
 use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
@@ -386,14 +387,15 @@ impl Sizes {
             }
         });
 
-        let weight_gradient = |of: &[f32], outputs: usize, values: &[f32], inputs: usize, out: &mut [f32]| {
-            let (of, values) = (Matrix::transposed(of, rows, outputs), Matrix::plain(values, rows, inputs));
-            product(of, values, out, Accumulate::Overwrite, self.arithmetic, threads());
-        };
-        weight_gradient(&of_input, gates, &last_latent, latent, of_latent_weight);
-        weight_gradient(&of_product, gates, &last_memory, width, of_memory_weight);
-        weight_gradient(&of_hidden, units, memories, width, of_hidden_weight);
-        weight_gradient(&of_distribution, 2 * latent, &kept.hidden, units, of_weight);
+        let weights = [
+            (&*of_input, &*last_latent, [gates, latent], of_latent_weight),
+            (&*of_product, &*last_memory, [gates, width], of_memory_weight),
+            (&*of_hidden, memories, [units, width], of_hidden_weight),
+            (&*of_distribution, &*kept.hidden, [2 * latent, units], of_weight),
+        ];
+        for (grad, rows, shape, wanted) in weights {
+            weight_gradient(grad, rows, shape, wanted, self.arithmetic);
+        }
         of_memory_bias.copy_from_slice(&kernels::column_sums(&of_product, gates));
         of_bias.copy_from_slice(&kernels::column_sums(&of_distribution, 2 * latent));
         [of_input, of_hidden, of_packed]
