@@ -148,7 +148,7 @@ class Keys:
             facts += "; required"
         elif "default" in schema and not has_keys:
             facts += f"; default `{json.dumps(schema['default'])}`"
-        paragraphs = [facts, sentence(schema.get("description", ""))]
+        paragraphs = [facts, sentence(schema.get("description") or self.resolve(schema).get("description", ""))]
         values = [
             (f"`{choice['const']}`: " if "const" in choice else "") + sentence(choice.get("description", ""))
             for choice in self.choices(schema)

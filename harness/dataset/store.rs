@@ -48,7 +48,7 @@ impl Dataset {
         let mut description = json!({
             "format": FORMAT,
             "scenario": scenario.name(),
-            "simulation": spec,
+            "simulation": spec.stored(),
             "model_sha256": model.sha256,
             "mujoco": model.mujoco_version,
         });

@@ -1,8 +1,9 @@
 //! The scaling of a modality's values for a network, and the lower bound of its predictions.
 
 use super::modality::{Modality, Scale, by_modality};
-use schemars::{Schema, SchemaGenerator, json_schema};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// The scaling and the lower bound of one modality.
@@ -57,16 +58,25 @@ impl Scaling {
     }
 }
 
-/// The JSON schema of [`GivenScalings`]: one section for each modality, with the keys of [`GivenScaling`].
+impl JsonSchema for GivenScaling {
+    fn schema_name() -> Cow<'static, str> {
+        "Scaling".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let minimum = json_schema!({
+            "description": "The lowest value of a prediction, in physical units. `null` means no bound.",
+            "type": ["number", "null"],
+        });
+        json_schema!({
+            "type": "object",
+            "properties": { "scale": generator.subschema_for::<Scale>(), "minimum": minimum },
+            "additionalProperties": false,
+        })
+    }
+}
+
+/// The JSON schema of [`GivenScalings`]: one section for each modality.
 pub fn scalings_schema(generator: &mut SchemaGenerator) -> Schema {
-    let scale = generator.subschema_for::<Scale>();
-    let minimum = json_schema!({
-        "description": "The lowest value of a prediction, in physical units. `null` means no bound.",
-        "type": ["number", "null"],
-    });
-    by_modality(json_schema!({
-        "type": "object",
-        "properties": { "scale": scale, "minimum": minimum },
-        "additionalProperties": false,
-    }))
+    by_modality(generator.subschema_for::<GivenScaling>())
 }

@@ -18,6 +18,7 @@ mod run;
 mod schema;
 mod search;
 mod simulation;
+mod stored;
 mod text;
 mod types;
 mod validate;
@@ -447,7 +448,7 @@ impl Experiment {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
             }
             if self.network.memory != Memory::Window {
-                self.network.memory_samples = Network::MEMORY_SAMPLES;
+                self.network.memory_samples = Network::default().memory_samples;
             }
         }
         if self.split.by == Division::Time {

@@ -2,19 +2,20 @@
 
 use super::origin::Origin;
 use super::simulation::Simulation;
+use super::stored::stored;
 use super::types::{Action, Loss, Network, Split, Task, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 
 /// The spec of one run: data, what is given and predicted, and what predicts, with one seed. It holds everything that
 /// the result depends on, and nothing else. Runs of different experiments with equal specs are therefore equal.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Fields", into = "Fields")]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(try_from = "Fields")]
 pub struct RunSpec {
     /// The world that is simulated, or the imported dataset.
     pub scenario: Origin,
@@ -75,33 +76,49 @@ pub struct Trained {
     pub training: Training,
 }
 
-/// The spec as it is stored. Specs from before external models have the same fields.
+/// The spec with all settings. A stored spec lacks most of those that have their default ([`stored`]).
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields {
     scenario: Origin,
     input: Vec<Modality>,
     output: Vec<Modality>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     latent: Option<usize>,
-    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[serde(default)]
     variant: String,
     seed: u64,
     tasks: Vec<Task>,
     action: Action,
-    #[serde(default, skip_serializing_if = "Window::is_transition")]
+    #[serde(default)]
     window: Window,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     network: Option<Network>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     model: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     simulation: Option<Simulation>,
     split: Split,
-    #[serde(default, skip_serializing_if = "Scalings::is_empty")]
+    #[serde(default)]
     scaling: Scalings,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     training: Option<Training>,
+}
+
+/// Writes the spec as it is stored.
+impl Serialize for RunSpec {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let defaults = json!({
+            "variant": "",
+            "window": Window::default(),
+            "network": Network::default(),
+            "simulation": Simulation::default(),
+            "split": Split::default(),
+            "scaling": {},
+            "training": Training::default(),
+        });
+        stored("", self.all(), &defaults).serialize(serializer)
+    }
 }
 
 impl From<RunSpec> for Fields {
@@ -250,63 +267,25 @@ impl RunSpec {
         digits(&json.to_string())
     }
 
-    /// Returns the run's spec with the defaults that are not stored, so that older runs keep their names. `layout` is
-    /// that of the dataset.
+    /// Returns the run's spec with every setting, also those that are not stored. `layout` is that of the dataset.
     pub fn complete(&self, layout: &Layout) -> Json {
-        let Self { split, simulation, .. } = self;
-        let unsaid = json!({
-            "variant": self.variant,
-            "window": {
-                "context": self.window.context,
-                "start": self.window.start,
-                "horizon": self.window.horizon,
-                "since_s": self.window.since_s,
-            },
-            "split": { "by": split.by, "gap_seconds": split.gap_seconds },
-            "scaling": self.scalings(layout),
-        });
-        let mut all = serde_json::to_value(self).expect("a run's spec is plain data");
-        add(&mut all, unsaid);
-        if let Some(trained) = self.trained() {
-            add(&mut all, self.unsaid_of(trained, layout));
-        }
-        if let Some(simulation) = simulation {
-            all["simulation"]["factors"] = json!(simulation.factors);
-            all["simulation"]["policy"] = json!(simulation.policy);
+        let mut all = self.all();
+        all["scaling"] = json!(self.scalings(layout));
+        if let Some(Trained { training, .. }) = self.trained() {
+            let is_vector = |modality: &&Modality| {
+                layout.get(**modality).is_some_and(|definition| !definition.is_image())
+            };
+            let loss = |modality: &Modality| training.losses.get(modality).copied().unwrap_or_default();
+            let losses: BTreeMap<Modality, Loss> =
+                self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
+            all["training"]["losses"] = json!(losses);
         }
         all
     }
 
-    /// Returns the defaults of a network and its training that are not stored.
-    fn unsaid_of(&self, Trained { network, training, .. }: &Trained, layout: &Layout) -> Json {
-        let is_vector =
-            |modality: &&Modality| layout.get(**modality).is_some_and(|definition| !definition.is_image());
-        let loss = |modality: &Modality| training.losses.get(modality).copied().unwrap_or_default();
-        let losses: BTreeMap<Modality, Loss> =
-            self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
-        json!({
-            "network": {
-                "average": network.average,
-                "fusion": network.fusion,
-                "memory": network.memory,
-                "memory_samples": network.memory_samples,
-            },
-            "training": {
-                "schedule": training.schedule,
-                "warmup_epochs": training.warmup_epochs,
-                "weight_decay": training.weight_decay,
-                "clip_norm": training.clip_norm,
-                "rollout_stride": training.rollout_stride,
-                "discount": training.discount,
-                "burn_in": training.burn_in,
-                "truncate": training.truncate,
-                "last_epoch": training.last_epoch,
-                "stop": training.stop,
-                "losses": losses,
-                "dropout": training.dropout,
-                "tiles": training.tiles,
-            },
-        })
+    /// Returns the run's spec with every setting.
+    fn all(&self) -> Json {
+        serde_json::to_value(Fields::from(self.clone())).expect("a run's spec is plain data")
     }
 
     /// Returns the run's spec as YAML with every value explicit.
@@ -397,16 +376,6 @@ impl RunSpec {
 /// Returns the first 16 hexadecimal digits of the SHA-256 of a text.
 fn digits(text: &str) -> String {
     hex(&Sha256::digest(text)[..8])
-}
-
-/// Adds the values of `more` to a tree, section by section.
-fn add(tree: &mut Json, more: Json) {
-    match more {
-        Json::Object(entries) => {
-            entries.into_iter().for_each(|(key, value)| add(&mut tree[key], value));
-        }
-        value => *tree = value,
-    }
 }
 
 /// Divides a variant into the part that cells of networks have as well, and the name of the external model.

@@ -18,28 +18,45 @@ pub(super) const WITHOUT: [&str; 2] = ["without", "each"];
 
 static SCHEMA: LazyLock<Json> = LazyLock::new(build);
 
-/// Returns the JSON schema of an experiment, with descriptions, defaults and bounds.
+/// Returns the JSON schema of an experiment for editors, with descriptions, defaults and bounds.
 ///
 /// `quick` and `vary` list the settings by dotted key, so that editors complete those as well. A single value is also
-/// accepted for a list.
+/// accepted for a list. Editors do not check the bounds of a search, nor single and repeated values in `vary`.
 pub fn schema() -> Json {
     let mut schema = SCHEMA.clone();
-    allow_single_values(&mut schema);
-    for path in ["/properties/vary", "/properties/quick/properties/vary"] {
-        let inputs =
-            schema.pointer_mut(&format!("{path}/properties/input/anyOf")).and_then(Json::as_array_mut);
-        inputs.expect("a list of inputs may have a single item").push(ablation());
+    for (_, values) in schemas_of_keys(&mut schema["properties"]["vary"]) {
+        *values = json!({ "items": values["items"] });
     }
+    let settings = &mut schema["$defs"]["Reading"]["properties"]["settings"];
+    *settings = json!({ "description": settings["description"], "$ref": "#/$defs/Settings" });
+    for (_, drawn) in schemas_of_keys(&mut schema["$defs"]["Search"]["properties"]["space"]) {
+        let kinds: Vec<&str> = properties(drawn).map(|(kind, _)| kind.as_str()).collect();
+        *drawn = json!({ "$ref": format!("#/$defs/{}", definition_of(&kinds)) });
+    }
+    for kinds in KINDS {
+        schema["$defs"][definition_of(kinds)] = distributions(&json!({}), kinds, json!({}));
+    }
+    allow_single_values(&mut schema);
     schema
 }
 
-/// The schema of an ablation of the input. A spec that is checked has a list in its place.
-fn ablation() -> Json {
-    let [key, each] = WITHOUT;
-    json!({
-        "description": "The input of the spec, and the input without each of its modalities.", "type": "object",
-        "properties": { key: { "const": each } }, "required": [key], "additionalProperties": false,
-    })
+/// The distributions of numbers, of integers, and of all other settings in a search.
+const KINDS: [&[&str]; 3] = [&["uniform", "log_uniform", "choice"], &["integer", "choice"], &["choice"]];
+
+/// Returns the name of the definition of these distributions in the schema for editors.
+fn definition_of(kinds: &[&str]) -> &'static str {
+    match kinds.first() {
+        Some(&"uniform") => "NumberCandidates",
+        Some(&"integer") => "IntegerCandidates",
+        _ => "Candidates",
+    }
+}
+
+/// The keys that a section lists, and the patterns of keys, with their schemas.
+fn schemas_of_keys(section: &mut Json) -> impl Iterator<Item = (&String, &mut Json)> {
+    let section = section.as_object_mut().into_iter().flatten();
+    let keys = section.filter(|(keyword, _)| ["properties", "patternProperties"].contains(&keyword.as_str()));
+    keys.filter_map(|(_, keys)| keys.as_object_mut()).flatten()
 }
 
 /// Returns the dotted keys of all settings that an override or `quick` may change.
@@ -49,59 +66,60 @@ pub fn setting_names() -> Vec<String> {
 
 fn build() -> Json {
     let mut schema = schemars::schema_for!(Experiment).to_value();
-    add_settings_of_worlds(&mut schema["$defs"]["Simulation"]);
+    add_settings_of_worlds(&mut schema);
     let mut settings = serde_json::Map::new();
-    collect_settings(&schema, &schema, "", &mut settings);
+    collect_settings(&schema, &schema, "#", "", &mut settings);
     NOT_OVERRIDDEN.iter().for_each(|key| drop(settings.remove(*key)));
-    let varied: serde_json::Map<String, Json> = settings
-        .iter()
-        .filter(|(key, _)| varies(key))
-        .map(|(key, setting)| (key.clone(), setting.clone()))
-        .collect();
-    let of_roles = settings.get_key_value("latent").map(|(key, setting)| (key.clone(), setting.clone()));
-    let of_roles: serde_json::Map<String, Json> = varied.clone().into_iter().chain(of_roles).collect();
-    set_keys(&mut schema["properties"]["vary"], varied.iter().map(several));
-    set_keys(&mut schema["$defs"]["Reading"]["properties"]["settings"], varied.clone());
-    schema["properties"]["roles"]["additionalProperties"] = json!({ "type": "object" });
-    set_keys(&mut schema["properties"]["roles"]["additionalProperties"], of_roles);
-    let drawn: Vec<(String, Json)> = varied
-        .iter()
-        .filter(|(key, _)| draws(key))
-        .map(|(key, setting)| (key.clone(), candidates(&schema, setting)))
-        .collect();
+    let of = |takes: &dyn Fn(&str) -> bool| -> Vec<(String, Json)> {
+        let own = settings.iter().filter(|(key, _)| takes(key));
+        own.map(|(key, setting)| (key.clone(), setting.clone())).collect()
+    };
+    set_keys(&mut schema["properties"]["vary"], of(&varies).into_iter().map(several));
+    let mut of_variants = json!({ "type": "object" });
+    set_keys(&mut of_variants, of(&|key| varies(key) || key == "latent"));
+    schema["$defs"]["Settings"] = of_variants;
+    schema["properties"]["roles"]["additionalProperties"] = json!({ "$ref": "#/$defs/Settings" });
+    set_keys(&mut schema["$defs"]["Reading"]["properties"]["settings"], of(&varies));
+    let drawn = of(&|key| varies(key) && draws(key));
+    let drawn = drawn.into_iter().map(|(key, setting)| (key, candidates(&schema, &setting)));
+    let drawn: Vec<(String, Json)> = drawn.collect();
     set_keys(&mut schema["$defs"]["Search"]["properties"]["space"], drawn);
-    settings.insert("search.space".into(), schema["$defs"]["Search"]["properties"]["space"].clone());
-    for key in ["vary", "search"] {
-        settings.insert(key.into(), schema["properties"][key].clone());
+    for (key, place) in [
+        ("search.space", "$defs/Search/properties/space"),
+        ("vary", "properties/vary"),
+        ("search", "properties/search"),
+    ] {
+        settings.insert(key.into(), json!({ "$ref": format!("#/{place}") }));
     }
     set_keys(&mut schema["properties"]["quick"], settings);
     schema
 }
 
 /// Adds the settings of the built-in worlds, and what those of other worlds may be.
-fn add_settings_of_worlds(simulation: &mut Json) {
-    let range = |description: &str| {
-        json!({
-            "description": description, "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2,
-        })
-    };
-    let number = |description: &str| {
-        json!({
-            "description": description, "type": "number", "minimum": 0.0, "maximum": 1000.0,
-        })
-    };
+fn add_settings_of_worlds(schema: &mut Json) {
+    let range = json!({
+        "description": "Lowest and highest setpoint. The default is that of the world.", "type": "array",
+        "items": { "type": "number" }, "minItems": 2, "maxItems": 2,
+    });
+    let clearance = json!({
+        "description": "Smallest distance between placed bodies, m. The default is that of the world.",
+        "type": "number", "minimum": 0.0, "maximum": 1000.0,
+    });
+    schema["$defs"]["Range"] = range;
+    schema["$defs"]["Clearance"] = clearance;
+    let [range, clearance] = ["Range", "Clearance"].map(|name| json!({ "$ref": format!("#/$defs/{name}") }));
+    let simulation = &mut schema["$defs"]["Simulation"];
     for world in World::built_in() {
         for (name, setting) in world.settings() {
-            simulation["properties"][name] = match setting {
-                Setting::Range(_) => range("Lowest and highest setpoint. The default is that of the world."),
-                Setting::Number(_) => {
-                    number("Smallest distance between placed bodies, m. The default is that of the world.")
-                }
+            let of_setting = match setting {
+                Setting::Range(_) => &range,
+                Setting::Number(_) => &clearance,
             };
+            simulation["properties"][name] = of_setting.clone();
         }
     }
     simulation["additionalProperties"] =
-        json!({ "description": "A setting of another world.", "anyOf": [range(""), number("")] });
+        json!({ "description": "A setting of another world.", "anyOf": [range, clearance] });
 }
 
 /// The keys of a spec that `quick` and overrides can't replace as a whole.
@@ -134,6 +152,19 @@ fn draws(key: &str) -> bool {
 /// The distributions of a setting: one of those that suit its type.
 fn candidates(root: &Json, setting: &Json) -> Json {
     let own = resolve(root, setting).0;
+    let is = |name: &str| types(own).contains(&name);
+    let kinds = KINDS[if is("number") {
+        0
+    } else if is("integer") {
+        1
+    } else {
+        2
+    }];
+    distributions(own, kinds, setting.clone())
+}
+
+/// One of these distributions of values within the bounds of `own`, or with the schema `value`.
+fn distributions(own: &Json, kinds: &[&str], value: Json) -> Json {
     let range = |kind: &str, description: &str| {
         let mut item = json!({ "type": kind });
         for bound in ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"] {
@@ -143,20 +174,19 @@ fn candidates(root: &Json, setting: &Json) -> Json {
         }
         json!({ "description": description, "type": "array", "items": item, "minItems": 2, "maxItems": 2 })
     };
-    let mut properties = serde_json::Map::new();
-    if types(own).contains(&"number") {
-        properties
-            .insert("uniform".into(), range("number", "Uniform between the lowest and the highest value."));
-        let description = "Uniform in the logarithm, between the lowest and the highest value.";
-        properties.insert("log_uniform".into(), range("number", description));
-    }
-    if types(own).contains(&"integer") {
-        let description = "An integer from the lowest to the highest value.";
-        properties.insert("integer".into(), range("integer", description));
-    }
-    let mut choice = several((&"choice".into(), setting)).1;
-    choice["description"] = "One of several values.".into();
-    properties.insert("choice".into(), choice);
+    let of = |kind: &str| match kind {
+        "uniform" => range("number", "Uniform between the lowest and the highest value."),
+        "log_uniform" => {
+            range("number", "Uniform in the logarithm, between the lowest and the highest value.")
+        }
+        "integer" => range("integer", "An integer from the lowest to the highest value."),
+        _ => {
+            let mut choice = several((String::new(), value.clone())).1;
+            choice["description"] = "One of several values.".into();
+            choice
+        }
+    };
+    let properties: serde_json::Map<_, _> = kinds.iter().map(|kind| ((*kind).to_owned(), of(kind))).collect();
     json!({
         "type": "object", "properties": properties, "additionalProperties": false, "minProperties": 1,
         "maxProperties": 1,
@@ -164,8 +194,8 @@ fn candidates(root: &Json, setting: &Json) -> Json {
 }
 
 /// A list of different values of a setting.
-fn several((key, setting): (&String, &Json)) -> (String, Json) {
-    (key.clone(), json!({ "type": "array", "items": setting, "minItems": 1, "uniqueItems": true }))
+fn several((key, setting): (String, Json)) -> (String, Json) {
+    (key, json!({ "type": "array", "items": setting, "minItems": 1, "uniqueItems": true }))
 }
 
 /// Sets the keys of a section and forbids all others. A `*` in a key stands for any name.
@@ -180,20 +210,30 @@ fn set_keys(section: &mut Json, keys: impl IntoIterator<Item = (String, Json)>) 
 /// The settings of worlds that are not built in.
 const OF_OTHER_WORLDS: [&str; 2] = ["*_range*", "*_clearance_m"];
 
-/// Adds what `schema` describes, down to the values that are no sections, by dotted key. The key of what a world or a
-/// modality of any name has contains a `*`.
-fn collect_settings(root: &Json, schema: &Json, prefix: &str, settings: &mut serde_json::Map<String, Json>) {
-    let own = properties(schema).map(|(name, property)| (name.as_str(), property));
-    let others = schema.get("additionalProperties").filter(|others| others.is_object());
+/// Adds references to what `schema`, which is at `place`, describes, down to the values that are no sections, by dotted
+/// key. The key of what a world or a modality of any name has contains a `*`.
+fn collect_settings(
+    root: &Json,
+    schema: &Json,
+    place: &str,
+    prefix: &str,
+    settings: &mut serde_json::Map<String, Json>,
+) {
+    const OTHERS: &str = "additionalProperties";
+    let own =
+        properties(schema).map(|(name, property)| (name.as_str(), format!("properties/{name}"), property));
+    let others = schema.get(OTHERS).filter(|others| others.is_object());
     let names: &[&str] = if prefix == "simulation" { &OF_OTHER_WORLDS } else { &["*"] };
-    let others = others.into_iter().flat_map(|others| names.iter().map(move |name| (*name, others)));
-    for (name, property) in own.chain(others) {
-        let path = join(prefix, name);
-        let definition = resolve(root, property).0;
+    let others =
+        others.into_iter().flat_map(|own| names.iter().map(move |name| (*name, OTHERS.to_owned(), own)));
+    for (name, step, property) in own.chain(others) {
+        let (path, place) = (join(prefix, name), format!("{place}/{step}"));
+        let (definition, named) = resolve(root, property);
         if definition.get("properties").is_some() {
-            collect_settings(root, definition, &path, settings);
+            let place = if named.is_empty() { place } else { format!("#/$defs/{named}") };
+            collect_settings(root, definition, &place, &path, settings);
         } else {
-            settings.insert(path, property.clone());
+            settings.insert(path, json!({ "$ref": place }));
         }
     }
 }

@@ -1,7 +1,10 @@
 //! The settings of a simulation.
 
+use super::stored::stored;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value as Json, json};
+use smart_default::SmartDefault;
 use std::collections::BTreeMap;
 
 /// The largest seed, 2^53 - 1. Every reader of JSON and Parquet represents integers up to this one exactly.
@@ -11,7 +14,7 @@ pub const MAX_SEED: u64 = (1 << 53) - 1;
 const POLICY: &str = "^[A-Za-z_][A-Za-z0-9_]{0,63}@[A-Za-z0-9_.+-]{1,64}$";
 
 /// How episodes are simulated. A dataset's hash covers all of these settings except the number of episodes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Simulation {
     /// Seed of the dataset. An episode's random stream is derived from it, the scenario and the episode's index.
@@ -20,25 +23,25 @@ pub struct Simulation {
     /// Number of independent episodes, each of which starts at rest. A split by episode needs at least 3. One long
     /// episode corresponds to the paper's continuous run.
     #[schemars(range(min = 1, max = 1_000_000))]
+    #[default(200)]
     pub episodes: u32,
     /// Number of commanded moves in an episode.
     #[schemars(range(min = 1, max = 100_000))]
+    #[default(20)]
     pub actuations_per_episode: u32,
     /// Duration of a move, s. It must be a whole number of samples.
     #[schemars(range(max = 60.0), extend("exclusiveMinimum" = 0.0))]
+    #[default(1.0)]
     pub actuation_seconds: f64,
     /// Samples recorded per second, Hz. There must be a whole number of simulation steps between two samples.
     #[schemars(range(max = 100_000.0), extend("exclusiveMinimum" = 0.0))]
+    #[default(10.0)]
     pub sample_rate_hz: f64,
-    /// Factors of variation of the world that each episode draws anew, by name. The default is none.
-    // The default is not written, so that datasets from before this setting keep their names.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    /// Factors of variation of the world that each episode draws anew, by name.
     #[schemars(extend("uniqueItems" = true))]
     pub factors: Vec<String>,
     /// The policy that gives the setpoints instead of the world's motion, `NAME@VERSION`. Its episodes are collected
-    /// with `harness.collect(SPEC, policy=...)` in Python. The default is none.
-    // The default is not written, so that datasets from before this setting keep their names.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// with `harness.collect(SPEC, policy=...)` in Python.
     #[schemars(regex(pattern = POLICY))]
     pub policy: Option<String>,
     /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
@@ -70,6 +73,11 @@ impl Simulation {
         "policy",
     ];
 
+    /// Returns the settings as a dataset's description and its hash have them.
+    pub fn stored(&self) -> Json {
+        stored("simulation", json!(self), &json!(Self::default()))
+    }
+
     /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.
     pub fn range(&self, setting: &str) -> Option<[f64; 2]> {
         match self.world.get(setting)? {
@@ -100,21 +108,6 @@ impl Simulation {
     /// Returns the number of samples recorded in one episode.
     pub fn samples_per_episode(&self) -> usize {
         self.actuations_per_episode as usize * self.samples_per_actuation()
-    }
-}
-
-impl Default for Simulation {
-    fn default() -> Self {
-        Self {
-            seed: 0,
-            episodes: 200,
-            actuations_per_episode: 20,
-            actuation_seconds: 1.0,
-            sample_rate_hz: 10.0,
-            factors: Vec::new(),
-            policy: None,
-            world: BTreeMap::new(),
-        }
     }
 }
 

@@ -8,6 +8,7 @@ use super::world::World;
 use harness_layout::{GivenScalings, Layout, Modality, by_modality, names, scalings_schema};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+use smart_default::SmartDefault;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -109,10 +110,11 @@ pub enum WindowStart {
 names!(WindowStart { Random => "random", Rest => "rest" });
 
 /// The number format in a network's large matrix products.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// 32-bit floats.
+    #[default]
     F32,
     /// Factors are rounded to 16 bits, of which 8 are significant. Sums and parameters stay f32. This is several times
     /// as fast on a processor with bf16 tiles (Intel AMX), and not faster on others.
@@ -121,10 +123,11 @@ pub enum Precision {
 names!(Precision { F32 => "f32", Bf16 => "bf16" });
 
 /// The device on which a network is trained.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Device {
     /// The processor, with as many threads as the run has.
+    #[default]
     Cpu,
     /// The first GPU, through CUDA. The harness must be built with `--features cuda`. Results are not reproducible bit
     /// by bit.
@@ -208,7 +211,7 @@ pub struct Experiment {
     #[serde(default = "default_action")]
     pub action: Action,
     /// How many samples the network sees and predicts.
-    #[serde(default, skip_serializing_if = "Window::is_transition")]
+    #[serde(default)]
     pub window: Window,
     /// Layers of the network.
     pub network: Network,
@@ -294,44 +297,41 @@ impl Reading {
 
 /// Layers of the encoder and the decoder. A preset is a network of the paper. Every other setting replaces a part of
 /// it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(extend("required" = ["preset"]))]
 pub struct Network {
     /// The network of the paper that the other settings modify.
     #[serde(alias = "architecture")]
+    #[default(Preset::MultiToMulti)]
     pub preset: Preset,
     /// Units of each fully connected hidden layer. The paper has one such layer and does not give its width.
-    #[serde(default = "default_hidden", deserialize_with = "one_or_many")]
+    #[serde(deserialize_with = "one_or_many")]
     #[schemars(length(min = 1, max = 16), inner(range(min = 1, max = 16384)))]
+    #[default(vec![256])]
     pub hidden: Vec<usize>,
     /// Channels of each convolution on images (4 x 4 kernels, stride 2). The decoder mirrors them. The default is the
     /// preset's: `[16]` for multi_to_multi, none for single_to_multi. The setting has no effect without images.
-    // A run's spec always has it.
-    #[serde(default, deserialize_with = "maybe_one_or_many", skip_serializing_if = "Option::is_none")]
+    // A run's spec always has them. The key can't be `null`, so it is left out.
+    #[serde(deserialize_with = "maybe_one_or_many", skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "channels_schema")]
     pub channels: Option<Vec<usize>>,
     /// Side of the squares of pixels over which images are averaged before the encoder's first convolution, in pixels.
-    /// The default is 1.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = 1, max = 32))]
+    #[default(1)]
     pub average: usize,
-    /// The layer in which the encoder joins images and vectors. The default is `early`.
-    #[serde(default, skip_serializing_if = "is_default")]
+    /// The layer in which the encoder joins images and vectors.
     pub fusion: Fusion,
-    /// What the network knows of earlier samples. The default is `none`. A network with memory needs a `window` with a
-    /// context of several samples.
-    #[serde(default, skip_serializing_if = "is_default")]
+    /// What the network knows of earlier samples. A network with memory needs a `window` with a context of several
+    /// samples.
     pub memory: Memory,
-    /// Number of samples that `memory: window` knows, with the present one. The default is 5.
-    #[serde(default = "memory_samples", skip_serializing_if = "is_memory_samples")]
+    /// Number of samples that `memory: window` knows, with the present one.
     #[schemars(range(min = 2, max = 1000))]
+    #[default(5)]
     pub memory_samples: usize,
 }
 
 impl Network {
-    /// The default of `memory_samples`.
-    pub const MEMORY_SAMPLES: usize = 5;
-
     /// Returns the channels of each convolution, or those of the preset if none are given.
     pub fn channels(&self) -> &[usize] {
         match (&self.channels, self.preset) {
@@ -343,113 +343,106 @@ impl Network {
 }
 
 /// How a dataset is divided into training, validation and test set.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    /// The unit that is divided. The default is `episode`.
-    // The default is not written, so that runs from before this setting keep their names.
-    #[serde(skip_serializing_if = "is_default")]
+    /// The unit that is divided.
     pub by: Division,
     /// Share for validation, in (0, 1). It is rounded to whole episodes or samples, and to at least one transition.
     #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
+    #[default(0.1)]
     pub validation: f64,
     /// Share for the test, in (0, 1), rounded in the same way.
     #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
+    #[default(0.1)]
     pub test: f64,
     /// Time that a split by time leaves out between training and validation, and between validation and test, s. The
     /// default is 5. It is taken from the training set.
-    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 3600.0))]
     pub gap_seconds: Option<f64>,
 }
 
 /// How a network is trained.
-// The defaults of settings that were added later are not written, so that older runs keep their names.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Training {
     /// Learning rate of Adam.
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
+    #[default(1e-3)]
     pub learning_rate: f64,
-    /// How the learning rate changes after the warm-up. The default is `constant`.
-    #[serde(skip_serializing_if = "is_default")]
+    /// How the learning rate changes after the warm-up.
     pub schedule: Schedule,
     /// Number of epochs in which the learning rate first rises, linearly from 0. Fractions are allowed.
-    /// The default is 0.
-    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0, max = 100_000.0))]
     pub warmup_epochs: f64,
     /// Decoupled weight decay (AdamW; Loshchilov & Hutter, 2019). Each step subtracts this share of each weight, times
-    /// the learning rate. Biases do not decay. The default is 0.
-    #[serde(skip_serializing_if = "is_default")]
+    /// the learning rate. Biases do not decay.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub weight_decay: f64,
     /// Largest Euclidean norm of the gradient of all parameters together. A longer gradient is scaled down to it.
-    /// `null` means no limit. It is the default.
-    #[serde(skip_serializing_if = "is_default")]
+    /// `null` means no limit.
     #[schemars(range(max = 1e6), extend("exclusiveMinimum" = 0.0))]
     pub clip_norm: Option<f64>,
     /// Predictions of samples per step. A window has one for each sample that the network sees, and
     /// `window.horizon - 1` more for each sample from which training predicts further.
     #[schemars(range(min = 1, max = 65536))]
+    #[default(1024)]
     pub batch_size: usize,
     /// Training predicts further than the next sample from one of this many samples that the network sees, which each
-    /// step draws anew. Validation always takes the same ones. The default is 1.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    /// step draws anew. Validation always takes the same ones.
     #[schemars(range(min = 1, max = 10_000))]
+    #[default(1)]
     pub rollout_stride: usize,
     /// Weight of the loss of a predicted sample, relative to that of the sample before it. The weights of the samples
-    /// of a horizon add up to 1. The default is 1, which weighs all alike.
-    #[serde(skip_serializing_if = "is_one")]
+    /// of a horizon add up to 1. A discount of 1 weighs all alike.
     #[schemars(range(max = 1.0), extend("exclusiveMinimum" = 0.0))]
+    #[default(1.0)]
     pub discount: f64,
     /// Number of samples at the beginning of a training sequence that a network with memory sees, but on which it is
-    /// not trained: they have no loss and no gradient. The default is 0.
-    #[serde(skip_serializing_if = "is_default")]
+    /// not trained: they have no loss and no gradient.
     #[schemars(range(max = MAX_WINDOW))]
     pub burn_in: usize,
     /// Number of samples over which gradients reach back in a training sequence (truncated backpropagation through
-    /// time). The memory goes on from one such part to the next. `null` means the whole sequence. It is the default.
-    #[serde(skip_serializing_if = "is_default")]
+    /// time). The memory goes on from one such part to the next. `null` means the whole sequence.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
     pub truncate: Option<usize>,
     /// Largest number of epochs.
     #[schemars(range(min = 1, max = 100_000))]
+    #[default(200)]
     pub epochs: usize,
     /// The epoch after which training ends, if it is before the last of `epochs`. The learning rate still follows
-    /// `epochs`. Successive halving sets it. The default is `null`.
-    #[serde(skip_serializing_if = "is_default")]
+    /// `epochs`. Successive halving sets it.
     #[schemars(range(min = 1, max = 100_000))]
     pub last_epoch: Option<usize>,
     /// Number of epochs without a better validation loss after which training stops. The parameters of the epoch with
     /// the lowest total are kept. With `null`, training does not stop early and the last parameters are kept.
     #[schemars(range(min = 1, max = 100_000))]
+    #[default(Some(20))]
     pub patience: Option<usize>,
-    /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`. The default is `total`.
-    #[serde(skip_serializing_if = "is_default")]
+    /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`.
     pub stop: Stop,
+    // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
     /// Weight of the Kullback-Leibler divergence in the total loss. The weights of the output modalities are in
     /// `loss_weights`.
     #[schemars(range(min = 0.0, max = 1e6))]
+    #[default(1e-4)]
     pub kl_weight: f64,
     /// Loss of each output modality that is a vector, in prediction. The default is `squared`. The loss of images is
     /// always squared.
-    #[serde(skip_serializing_if = "is_default")]
     #[schemars(schema_with = "losses_schema")]
     pub losses: BTreeMap<Modality, Loss>,
     /// Weight of the mean loss of each output modality. The default is 1.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
-    /// in [0, 1). It has no effect on a fully connected network. The default is 0.
-    #[serde(skip_serializing_if = "is_default")]
+    /// in [0, 1). It has no effect on a fully connected network.
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
     /// The number format in large matrix products.
     pub precision: Precision,
     /// Whether matrix products use the processor's tile unit (Intel AMX), if it has one. Results with and without it
-    /// differ by rounding. The default is `true`.
-    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    /// differ by rounding.
+    #[default(true)]
     pub tiles: bool,
     /// The device on which a network is trained.
     pub device: Device,
@@ -487,25 +480,25 @@ impl Split {
 
 /// Consecutive samples of an episode: what a model has seen, and what it predicts. A window is named by its present
 /// sample, the last one that the model has seen.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Window {
     /// Number of samples that the model sees, with the present one. A network without memory sees only the present one,
     /// whatever the number; it is then judged on the same samples as one with memory.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
+    #[default(1)]
     pub context: usize,
     /// What the model has seen when it predicts: the last `context` samples anywhere in an episode (`random`, the
     /// default), or all samples since the episode's start (`rest`).
-    #[serde(skip_serializing_if = "is_default")]
     pub start: WindowStart,
     /// Number of samples after the present one that the model predicts, one from the other. The tables `metrics` and
     /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10,
     /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
     #[schemars(range(min = 1, max = MAX_WINDOW))]
+    #[default(1)]
     pub horizon: usize,
     /// Times since the start of an episode, in whole seconds. The predicted samples from each of them on have metrics
-    /// of their own, such as `r2_from_10s`. The default is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    /// of their own, such as `r2_from_10s`.
     #[schemars(inner(range(min = 1, max = 100_000)), extend("uniqueItems" = true))]
     pub since_s: Vec<u32>,
 }
@@ -515,21 +508,10 @@ const MAX_WINDOW: usize = 1000;
 /// Numbers of samples after the present one at which predictions are judged.
 const HORIZONS: [usize; 9] = [1, 2, 5, 10, 20, 50, 100, 200, 500];
 
-impl Default for Window {
-    fn default() -> Self {
-        Self::TRANSITION
-    }
-}
-
 impl Window {
     /// A transition: the present sample and the next one.
     pub const TRANSITION: Self =
         Self { context: 1, start: WindowStart::Random, horizon: 1, since_s: Vec::new() };
-
-    /// Whether this is [`Window::TRANSITION`], which specs do not store.
-    pub(crate) fn is_transition(&self) -> bool {
-        *self == Self::TRANSITION
-    }
 
     /// Returns the window with a context of one sample.
     pub fn of_one_sample(&self) -> Self {
@@ -567,12 +549,6 @@ pub struct SplitCounts {
     pub test: usize,
 }
 
-impl Default for Split {
-    fn default() -> Self {
-        Self { by: Division::Episode, validation: 0.1, test: 0.1, gap_seconds: None }
-    }
-}
-
 impl Training {
     /// The epoch after which training ends at the latest.
     pub fn final_epoch(&self) -> usize {
@@ -580,40 +556,8 @@ impl Training {
     }
 }
 
-impl Default for Training {
-    fn default() -> Self {
-        Self {
-            learning_rate: 1e-3,
-            schedule: Schedule::Constant,
-            warmup_epochs: 0.0,
-            weight_decay: 0.0,
-            clip_norm: None,
-            batch_size: 1024,
-            rollout_stride: 1,
-            discount: 1.0,
-            burn_in: 0,
-            truncate: None,
-            epochs: 200,
-            last_epoch: None,
-            patience: Some(20),
-            stop: Stop::Total,
-            // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
-            kl_weight: 1e-4,
-            losses: BTreeMap::new(),
-            loss_weights: BTreeMap::new(),
-            dropout: 0.0,
-            precision: Precision::F32,
-            tiles: true,
-            device: Device::Cpu,
-        }
-    }
-}
-
 fn search(generator: &mut SchemaGenerator) -> Schema {
     generator.subschema_for::<Search>()
-}
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 fn default_seeds() -> Vec<u64> {
     vec![0]
@@ -624,46 +568,32 @@ fn default_tasks() -> Vec<Task> {
 fn default_action() -> Action {
     Action::Increment
 }
-fn default_hidden() -> Vec<usize> {
-    vec![256]
-}
-fn one() -> usize {
-    1
-}
-fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
-    *value == T::from(1)
-}
-fn memory_samples() -> usize {
-    Network::MEMORY_SAMPLES
-}
-fn is_memory_samples(value: &usize) -> bool {
-    *value == Network::MEMORY_SAMPLES
-}
-fn yes() -> bool {
-    true
-}
-fn is_true(value: &bool) -> bool {
-    *value
+
+/// A list or a single value. Specs of earlier versions have single values.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum OneOrMany {
+    One(usize),
+    Many(Vec<usize>),
 }
 
-/// Reads a list or a single value. Specs of earlier versions have single values.
-fn one_or_many<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum OneOrMany {
-        One(usize),
-        Many(Vec<usize>),
+impl From<OneOrMany> for Vec<usize> {
+    fn from(values: OneOrMany) -> Self {
+        match values {
+            OneOrMany::One(value) => vec![value],
+            OneOrMany::Many(values) => values,
+        }
     }
-    Ok(match OneOrMany::deserialize(deserializer)? {
-        OneOrMany::One(value) => vec![value],
-        OneOrMany::Many(values) => values,
-    })
+}
+
+fn one_or_many<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
+    OneOrMany::deserialize(deserializer).map(Into::into)
 }
 
 fn maybe_one_or_many<'de, D: serde::Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Vec<usize>>, D::Error> {
-    one_or_many(deserializer).map(Some)
+    Option::<OneOrMany>::deserialize(deserializer).map(|values| values.map(Into::into))
 }
 
 /// The schema of the list alone. Without it, the schema would also allow `null`.

@@ -270,10 +270,14 @@ fn by_section(names: &[&str]) -> Vec<String> {
     entries
 }
 
-/// Follows a reference into the definitions. Returns the schema and the definition's name.
-pub fn resolve<'a>(root: &'a Json, schema: &'a Json) -> (&'a Json, &'a str) {
-    let name = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix("#/$defs/"));
-    name.map_or((schema, ""), |name| (&root["$defs"][name], name))
+/// Follows references into the same schema. Returns what they lead to, and its name if it is a definition.
+pub fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> (&'a Json, &'a str) {
+    let mut definition = "";
+    while let Some(pointer) = schema["$ref"].as_str().and_then(|reference| reference.strip_prefix('#')) {
+        definition = pointer.strip_prefix("/$defs/").filter(|name| !name.contains('/')).unwrap_or_default();
+        schema = root.pointer(pointer).unwrap_or(&Json::Null);
+    }
+    (schema, definition)
 }
 
 /// The properties that a schema lists, with their names.
