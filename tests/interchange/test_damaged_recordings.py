@@ -846,8 +846,8 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
     "an empty message": (rewritten(cut(7, 0)), "rec/trial_2: /joints: message 7: can't be read: "),
     "a head of a message": (rewritten(cut(7, 4)), "rec/trial_2: /joints: message 7: can't be read: "),
     "other joints": (
-        swapped(7, joints(7, [7, -7], ["b", "a"])),
-        r"rec/trial_2: /joints: message 7: its names are \['b', 'a'\], and those of message 0 \['a', 'b'\]",
+        swapped(7, joints(7, [7, -7], ["a", "c"])),
+        r"rec/trial_2: /joints: message 7: its names are \['a', 'c'\], and those of message 0 \['a', 'b'\]",
     ),
     "a joint too many": (
         swapped(7, joints(7, [7, -7, 0])),

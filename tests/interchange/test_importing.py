@@ -428,7 +428,7 @@ def without(section: dict, key: str) -> dict:
         (
             {},
             {"vision": "*a*"},
-            r"modalities.vision: must be one whole column, not \*a\*, which matches angles, .*camera",
+            r"modalities.vision: must be one whole column, not \*a\*, which matches trial, angles, .*camera",
         ),
         (
             {},

@@ -174,9 +174,9 @@ def _in_gaps(stream: Stream, settings: StreamSettings, samples: np.ndarray, allo
 
 
 def wanted(selections: dict[str, Selection], available: list[str]) -> list[str]:
-    """Returns the columns that a mapping uses, out of those available."""
-    columns = [column for selection in selections.values() for column in selection.columns(available)]
-    return list(dict.fromkeys(columns))
+    """Returns the columns that a mapping uses, out of those available, in their order."""
+    columns = {column for selection in selections.values() for column in selection.columns(available)}
+    return [column for column in available if column in columns]
 
 
 def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Columns:

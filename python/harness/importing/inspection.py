@@ -253,6 +253,12 @@ def _ros2(path: Path) -> Contents:
             message = next((message for _, message in bag.messages(connection)), None)
             if message is None or topic in SKIPPED_TOPICS:
                 continue
+            groups = _joints(bag, connection) if connection.msgtype == ros2.JOINTS else {}
+            for messages in groups.values():
+                lines.append(f"    {len(messages)} messages of the joints {', '.join(messages[0][1].name)}")
+            if len(groups) > 1:
+                found += [_of_joints(_free(topic, taken), topic, *group) for group in groups.items()]
+                continue
             stream = _free(topic, taken)
             each = Found(stream, f"topic: {topic}", rate_hz=rate, gap_s=gap)
             if connection.msgtype in (ros2.IMAGE, ros2.COMPRESSED):
@@ -265,6 +271,26 @@ def _ros2(path: Path) -> Contents:
             if each.columns:
                 found.append(each)
     return Contents("ros2", lines, found)
+
+
+def _joints(bag: ros2.Bag, connection: Any) -> dict[frozenset[str], list[tuple[int, Any]]]:
+    """Returns the messages of a topic of joints, each with when it was received, by the joints that they have."""
+    groups: dict[frozenset[str], list[tuple[int, Any]]] = {}
+    for time, message in bag.messages(connection):
+        groups.setdefault(frozenset(message.name), []).append((time, message))
+    return groups
+
+
+def _of_joints(stream: str, topic: str, joints: frozenset[str], messages: list[tuple[int, Any]]) -> Found:
+    """Returns a stream of the messages that have some joints."""
+    rate, gap = _rate(np.array([time for time, _ in messages], np.float64) / 1e9)
+    first = messages[0][1]
+    columns = []
+    for field in ros2.OF_JOINTS:
+        if len(getattr(first, field)) == len(joints):
+            term = _list(stream, [f"{field}.{joint}" for joint in first.name])
+            columns.append((f"{stream}_{field}", term, False))
+    return Found(stream, f"topic: {topic}, missing: skip", columns, rate, gap)
 
 
 def _columns(message: Any) -> list[tuple[str, int]]:

@@ -44,8 +44,11 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
     reader = importlib.import_module(f".{mapping.format}", __package__)
 
     def takes() -> Iterator[Take]:
+        first = None
         for take in reader.takes(mapping):
-            yield _checked(take, mapping, sampling)
+            take = _checked(take, first, mapping, sampling)
+            first = first or take
+            yield take
 
     qualities = {name: Quality(name) for name in sampling.streams}
     bar = tqdm(takes(), desc="reading times", unit=" takes", file=sys.stderr, disable=not progress)
@@ -76,21 +79,39 @@ def _episodes(
             yield align(take, span, mapping, sampling)
 
 
-def _checked(take: Take, mapping: Mapping, sampling: Sampling) -> Take:
-    """Returns a take with the streams that a mapping uses, with their final times."""
+def _checked(take: Take, first: Take | None, mapping: Mapping, sampling: Sampling) -> Take:
+    """Returns a take with the streams and columns that a mapping uses, with their final times.
+
+    The columns are in the order of the first take, because files may list the same columns in different orders.
+    """
     try:
         columns = wanted(mapping.selections, take.columns)
     except MappingError as error:
         raise MappingError(f"{take.name}: {error}") from None
+    if first:
+        _check_equal(take, first, mapping)
+        columns = first.columns
     used = {column.partition(".")[0] for column in columns}
     return Take(
         take.name,
         {
-            name: checked(stream, sampling.streams[name], columns)
+            name: checked(stream, sampling.streams[name], [each for each in columns if each in stream.columns])
             for name, stream in take.streams.items()
             if name in used
         },
     )
+
+
+def _check_equal(take: Take, first: Take, mapping: Mapping) -> None:
+    """Raises a MappingError if a modality has other columns in a take than in the first."""
+    for selection in mapping.selections.values():
+        found, expected = selection.columns(take.columns), selection.columns(first.columns)
+        if sorted(found) != sorted(expected):
+            name = min({*found} ^ {*expected}).partition(".")[0]
+            raise selection.error(
+                f"{take.streams[name].place} has the columns {', '.join(found)}, and {first.streams[name].place} has "
+                f"{', '.join(expected)}; a modality has the same columns in all recordings"
+            )
 
 
 def table(recording: Recording) -> list[str]:

@@ -16,6 +16,11 @@ from .streams import Stream, Take, View, blaming, needing, seconds, sources
 SUFFIXES = (".mcap", ".db3", ".bag")
 MARKS = ("metadata.yaml",)
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+JOINTS = "sensor_msgs/msg/JointState"
+OF_JOINTS = ("position", "velocity", "effort")
+"""The fields of a sensor_msgs/JointState that have a value of each joint in its field `name`."""
+NAMES = ("name", "names", "joint_names")
+"""Fields that name the elements of a message's other fields."""
 ENCODINGS = {
     "rgb8": ("RGB", 3),
     "bgr8": ("BGR", 3),
@@ -37,9 +42,15 @@ def takes(mapping: Mapping) -> Iterator[Take]:
     """
     assert mapping.sampling
     topic = mapping.sampling.divided_by.get("episode")
+    terms = [term for selection in mapping.selections.values() for term in selection.terms]
+    first: dict[str, BagStream] = {}
     for path in sources(mapping, SUFFIXES, MARKS, ("*.mcap", "*.db3")):
         with opened(path) as bag:
-            streams = {name: BagStream(bag, settings) for name, settings in mapping.sampling.streams.items()}
+            streams = {
+                name: BagStream(bag, settings, terms, first.get(name))
+                for name, settings in mapping.sampling.streams.items()
+            }
+            first = first or streams
             yield from [Take(str(path), {**streams})] if topic is None else _by_topic(bag, streams, topic)
 
 
@@ -135,9 +146,13 @@ def opened(path: Path) -> Iterator[Bag]:
 
 
 class BagStream(Stream):
-    """The messages of a topic. A message's numbers are columns, called by the names of its fields."""
+    """The messages of a topic. A message's numbers are columns, called by the names of its fields.
 
-    def __init__(self, bag: Bag, settings: StreamSettings):
+    The values of a JointState are in the order of the first message of the first bag, whatever the order in others.
+    """
+
+    def __init__(self, bag: Bag, settings: StreamSettings, terms: list[str], first_bag: BagStream | None):
+        """Reads the times of a topic. `terms` are those of the mapping, and `first_bag` is the first bag's stream."""
         topic = settings.where["topic"]
         self.place, self._bag = f"{bag.path}: {topic}", bag
         self._connection = bag.connection(topic, f"streams.{settings.name}.topic")
@@ -145,16 +160,20 @@ class BagStream(Stream):
         which = settings.where.get("time", "header")
         if which not in ("header", "received"):
             raise settings.error(f"time: must be header or received, not '{which}'")
+        self._names: Any = first_bag._names if first_bag else None
+        """The names of the elements in the first message of the first bag."""
+        self._named_by: str = first_bag._named_by if first_bag else self.place
         received, stamps = [], []
         first = None
+        joints: dict[str, None] = {}
         for row, (time, message) in enumerate(bag.messages(self._connection)):
-            first = first or message
-            names = getattr(message, "name", None)
-            if names != getattr(first, "name", None):
-                raise MappingError(
-                    f"{self.place}: message {row}: its names are {names}, and those of message 0 {first.name}; a "
-                    "stream must have the same in all messages"
-                )
+            if first is None:
+                first = message
+                self._names = self._names if first_bag else _names(message)
+            if self._connection.msgtype == JOINTS:
+                joints |= dict.fromkeys(message.name)
+            elif _names(message) != self._names:
+                raise self._other_names(row, _names(message))
             received.append(time)
             header = getattr(message, "header", None)
             if which == "header" and header is not None:
@@ -171,14 +190,26 @@ class BagStream(Stream):
         self.received = self.arrivals if stamps else None
         self.times = np.array(stamps, np.int64) if stamps else self.arrivals
         self.is_picture = self._connection.msgtype in (IMAGE, COMPRESSED)
-        self.columns = [settings.name] if self.is_picture else self._columns(first)
+        self.columns = [settings.name] if self.is_picture else self._columns(first, terms, list(joints))
         self._block: tuple[int, int, list[Any]] = (0, 0, [])
 
-    def _columns(self, message: Any) -> list[str]:
+    def _columns(self, message: Any, terms: list[str], joints: list[str]) -> list[str]:
         found = [f"{self._prefix}{path}" for path in fields(message)]
         if found == [f"{self._prefix}data"]:
             return [self._prefix.rstrip(".")]
-        return found
+        # Other patterns, such as `STREAM.*`, would otherwise match each value twice.
+        chosen = [each for each in found if any(term.startswith(f"{each}.") for term in terms)]
+        return found + [f"{field}.{joint}" for field in chosen for joint in joints]
+
+    def _other_names(self, row: int, names: Any) -> MappingError:
+        hint = ""
+        if self._connection.msgtype == JOINTS:
+            term = f"{self._prefix}position.{names[0] if names else 'JOINT'}"
+            hint = f"; select joints by their names, such as {term}, with 'missing: skip' if a message has only some"
+        return MappingError(
+            f"{self.place}: message {row}: its names are {names}, and those of message 0 {self._names} in "
+            f"{self._named_by}; a stream must have the same in all messages{hint}"
+        )
 
     def read(self, column: str, first: int, last: int) -> np.ndarray:
         if self.is_picture:
@@ -186,17 +217,35 @@ class BagStream(Stream):
         path = column.removeprefix(self._prefix) if column.startswith(self._prefix) else "data"
         values: list[np.ndarray] = []
         for row, message in enumerate(self._messages(first, last), first):
-            for name in path.split("."):
-                message = getattr(message, name)
-            numbers = flattened(message)
-            # A list that is empty in this message has no numbers.
-            numbers = np.zeros(0) if numbers is None else numbers
+            numbers = self._numbers(message, path, row)
             if values and len(numbers) != len(values[0]):
                 raise MappingError(
                     f"{self.at(row)}: '{column}' has {len(numbers)} values, and {len(values[0])} in message {first}"
                 )
             values.append(numbers)
         return np.array(values, np.float64)
+
+    def _numbers(self, message: Any, path: str, row: int) -> np.ndarray:
+        """Returns the numbers of a field, or of one joint in it, float64 [numbers]."""
+        field, _, joint = path.partition(".")
+        by_joint = self._connection.msgtype == JOINTS and field in OF_JOINTS
+        value = message
+        for name in [field] if by_joint else path.split("."):
+            value = getattr(value, name)
+        numbers = flattened(value)
+        # A list that is empty in this message has no numbers.
+        numbers = np.zeros(0) if numbers is None else numbers
+        if not by_joint:
+            return numbers
+        names = message.name
+        if joint:
+            place = names.index(joint) if joint in names else len(numbers)
+            return numbers[place : place + 1] if place < len(numbers) else np.array([np.nan])
+        if names == self._names:
+            return numbers
+        if sorted(names) != sorted(self._names) or len({*names}) < len(names):
+            raise self._other_names(row, names)
+        return numbers[[names.index(each) for each in self._names]] if len(numbers) == len(names) else numbers
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         if not self.is_picture:
@@ -243,6 +292,11 @@ class BagStream(Stream):
 
     def at(self, row: int) -> str:
         return f"{self.place}: message {row}, received at {seconds(self.arrivals[row])} s"
+
+
+def _names(message: Any) -> Any:
+    """Returns the names of a message's elements, or None if it has none."""
+    return next((getattr(message, field) for field in NAMES if hasattr(message, field)), None)
 
 
 def fields(message: Any) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -120,15 +120,15 @@ def regular(rows: int, rate_hz: float) -> np.ndarray:
     return np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64)
 
 
-def checked(stream: Stream, settings: StreamSettings, wanted: Iterable[str]) -> Stream:
-    """Returns a stream of a take without missing values, and with the times that its settings say.
+def checked(stream: Stream, settings: StreamSettings, columns: list[str]) -> Stream:
+    """Returns some columns of a stream, without missing values, and with the times that its settings say.
 
     Raises:
         MappingError: it has no rows, or its times go back.
     """
     rows = np.arange(len(stream))
     if settings.skip_missing:
-        rows = rows[_is_whole(stream, [column for column in wanted if column in stream.columns])]
+        rows = rows[_is_whole(stream, columns)]
     if len(rows) == 0:
         raise MappingError(f"{stream.place}: holds no rows{' without missing values' * settings.skip_missing}")
     times = stream.times[rows]
@@ -141,6 +141,7 @@ def checked(stream: Stream, settings: StreamSettings, wanted: Iterable[str]) -> 
         )
     start = times[0] if settings.begin_at_zero else 0
     view = View(stream, rows, times - start + settings.offset_ns)
+    view.columns = columns
     if settings.begin_at_zero:
         view.received = None
     return view

@@ -1,0 +1,206 @@
+"""Recordings whose files order their elements differently, that miss rows, or whose paths have special letters."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+import zarr
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from harness.importing import import_dataset
+
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+TENTH = 10**8
+START = 17 * 10**17
+
+
+def imported(folder: Path, **keys: Any) -> list[pl.DataFrame]:
+    """Writes a mapping, imports it, and returns the episodes."""
+    path, results = folder / "lab.yaml", folder / "results"
+    path.write_text(json.dumps({"name": "lab", "source": "rec", "sample_rate_hz": 10} | keys))
+    name = import_dataset(path, results, progress=False)
+    files = sorted((results / "datasets" / name).iterdir())
+    return [pl.read_parquet(file.read_bytes()) for file in files if file.suffix == ".parquet"]
+
+
+def is_refused(folder: Path, words: str, **keys: Any) -> None:
+    with pytest.raises(ValueError, match=words) as error:
+        imported(folder, **keys)
+    assert "\n" not in str(error.value) and not (folder / "results").exists()
+
+
+# --- elements by name ---
+
+
+def write_table(path: Path, columns: dict[str, Any]) -> None:
+    """Writes columns to a file of the format that its name tells."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".csv":
+        path.write_bytes(pl.DataFrame(columns).write_csv().encode())
+    elif path.suffix == ".h5":
+        with h5py.File(path, "w", track_order=True) as file:
+            for name, values in columns.items():
+                file.create_dataset(f"s/{name}", data=values)
+    elif path.suffix == ".zarr":
+        root = zarr.create_group(path, overwrite=True)
+        for name, values in columns.items():
+            root.create_array(f"s/{name}", shape=(len(values),), dtype="f8")[:] = values
+    else:
+        scipy.io.savemat(path, {"s": columns}, oned_as="column")
+
+
+def of_table(suffix: str) -> dict[str, Any]:
+    """The keys of a mapping of such files, whose columns are `s.NAME`."""
+    format = {".csv": "csv", ".h5": "hdf5", ".zarr": "zarr", ".mat": "matlab"}[suffix]
+    stream = {"file": "*.csv", "time": "time"} if format == "csv" else {"data": "s", "time": "s/time"}
+    return {"format": format, "max_gap_s": 1, "streams": {"s": stream}}
+
+
+def trial(*names: str) -> dict[str, Any]:
+    """Columns whose values are the digit in their names."""
+    rows = np.arange(4.0)
+    return {"time": rows / 10, "cmd": rows} | {name: np.full(4, float(name[-1])) for name in names}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5", ".zarr", ".mat"])
+def test_columns_are_joined_by_name_whatever_their_order_in_a_file(tmp_path, suffix):
+    modalities = {"setpoint": "s.cmd", "a": "s.a_*"}
+    for index, names in enumerate([("a_2", "a_1"), ("a_1", "a_2"), ("a_2", "a_1")]):
+        write_table(tmp_path / f"rec/t{index}{suffix}", trial(*names))
+    episodes = imported(tmp_path, modalities=modalities, **of_table(suffix))
+    assert len({episode.select("a_00", "a_01").row(0) for episode in episodes}) == 1, "each file in its own order"
+    shutil.rmtree(tmp_path / "results")
+    for names, listed in ((("a_1", "a_3"), "s.a_1, s.a_3"), (("a_1",), "s.a_1"), (("a_1", "a_2", "a_3"), "s.a_3")):
+        write_table(tmp_path / f"rec/t1{suffix}", trial(*names))
+        words = rf"modalities.a: .*rec/t1{suffix}.* has the columns .*{listed}, and .*rec/t0{suffix}.* has .*s.a_"
+        is_refused(tmp_path, words, modalities=modalities, **of_table(suffix))
+
+
+def test_a_pattern_has_the_files_order_whatever_other_modalities_name(tmp_path):
+    for index in range(3):
+        write_table(tmp_path / f"rec/t{index}.csv", trial("a_1", "a_2"))
+    modalities = {"setpoint": "s.a_2", "a": {"from": "s.a_*", "scale": [10, 100]}}
+    first = imported(tmp_path, modalities=modalities, **of_table(".csv"))[0]
+    assert first.select("setpoint_00", "a_00", "a_01").row(0) == (2, 10, 200)
+
+
+Message = tuple[str, str, int, Any]
+"""Topic, type, when it was received (ns), and the message."""
+
+
+def joints(row: int, positions: dict[str, float], topic: str = "/joints") -> Message:
+    at, kind, none = START + row * TENTH, "sensor_msgs/msg/JointState", np.zeros(0)
+    stamp = ROS2.types["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
+    head = ROS2.types["std_msgs/msg/Header"](stamp, "")
+    values = np.array(list(positions.values()), np.float64)
+    return topic, kind, at, ROS2.types[kind](head, list(positions), values, none, none)
+
+
+def command(row: int) -> Message:
+    kind = "std_msgs/msg/Float64"
+    return "/command", kind, START + row * TENTH, ROS2.types[kind](float(row))
+
+
+def write_bag(path: Path, messages: list[Message], storage: StoragePlugin = StoragePlugin.SQLITE3) -> None:
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, received, content in sorted(messages, key=lambda each: each[2]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
+            writer.write(connections[topic], received, ROS2.serialize_cdr(content, kind))
+
+
+def write_bags(folder: Path, positions: Any, rows: int = 5) -> None:
+    """Writes three bags. `positions` gets the bag and the row, and returns the positions by the joints' names."""
+    shutil.rmtree(folder / "rec", ignore_errors=True)
+    (folder / "rec").mkdir()
+    for bag in range(3):
+        messages = [joints(row, positions(bag, row)) for row in range(rows)]
+        write_bag(folder / f"rec/b{bag}", [*messages, *map(command, range(rows))])
+
+
+OF_BAGS = {"format": "ros2", "max_gap_s": 1, "streams": {"c": {"topic": "/command"}, "j": {"topic": "/joints"}}}
+
+
+@pytest.mark.parametrize("which", ["bag", "message"])
+def test_joints_are_joined_by_name_whatever_their_order_in_a(tmp_path, which):
+    def positions(bag: int, row: int) -> dict[str, float]:
+        swapped = bag == 1 if which == "bag" else row % 2 == 1
+        return {"b": 2.0, "a": 1.0} if swapped else {"a": 1.0, "b": 2.0}
+
+    write_bags(tmp_path, positions)
+    modalities = {
+        "setpoint": "c",
+        "q": "j.position",
+        "b": "j.position.b",
+        "all": "j.position.*",
+        "second": "j.position[1]",
+    }
+    for episode in imported(tmp_path, modalities=modalities, **OF_BAGS):
+        columns = ["q_00", "q_01", "b_00", "all_00", "all_01", "second_00"]
+        assert set(episode.select(columns).rows()) == {(1, 2, 2, 1, 2, 2)}
+
+
+def test_bags_of_other_joints_are_refused(tmp_path):
+    write_bags(tmp_path, lambda bag, _: {"a": 1.0, "c" if bag == 1 else "b": 2.0})
+    words = (
+        r"rec/b1: /joints: message 0: its names are \['a', 'c'\], and those of message 0 \['a', 'b'\] in .*rec/b0: "
+        r"/joints; a stream must have the same in all messages; select joints by their names, such as j.position.a"
+    )
+    is_refused(tmp_path, words, modalities={"setpoint": "c", "q": "j.position"}, **OF_BAGS)
+    words = "rec/b1: modalities.q: there is no column 'j.position.b'; the columns are .*j.position.a, j.position.c"
+    is_refused(tmp_path, words, modalities={"setpoint": "c", "q": "j.position.b"}, **OF_BAGS)
+    assert len(imported(tmp_path, modalities={"setpoint": "c", "q": "j.position.a"}, **OF_BAGS)) == 3
+
+
+def test_named_elements_of_other_messages_must_have_one_order(tmp_path):
+    kind = "sensor_msgs/msg/MultiDOFJointState"
+    (tmp_path / "rec").mkdir()
+    for bag in range(3):
+        head = joints(0, {})[3].header
+        names = ["b", "a"] if bag == 1 else ["a", "b"]
+        vector, turn = ROS2.types["geometry_msgs/msg/Vector3"], ROS2.types["geometry_msgs/msg/Quaternion"]
+        transforms = [ROS2.types["geometry_msgs/msg/Transform"](vector(1, 2, 3), turn(0, 0, 0, 1))] * 2
+        message = ROS2.types[kind](head, names, transforms, [], [])
+        write_bag(tmp_path / f"rec/b{bag}", [("/joints", kind, START, message), command(0), command(1)])
+    words = r"rec/b1: /joints: message 0: its names are \['b', 'a'\], and those of message 0 \['a', 'b'\] in .*rec/b0"
+    is_refused(tmp_path, words, modalities={"setpoint": "c", "q": "j.transforms"}, **OF_BAGS)
+
+
+def test_two_publishers_of_a_topic_are_told_apart_by_their_joints(tmp_path):
+    def positions(_: int, row: int) -> dict[str, float]:
+        return {"arm_1": row, "arm_2": -row} if row % 2 == 0 else {"finger": 10.0 * row}
+
+    write_bags(tmp_path, positions, rows=9)
+    keys = OF_BAGS | {"modalities": {"setpoint": "c", "arm": ["j.position.arm_1", "j.position.arm_2"]}}
+    keys["modalities"] = {"setpoint": "c", "q": ["j.position.arm_1", "j.position.arm_2"], "f": "hand.position.finger"}
+    stream = {"topic": "/joints"}
+    both = {"c": {"topic": "/command"}, "j": stream, "hand": stream}
+    words = "b0: /joints: message 1, .*'j.position.arm_1' is nan; .*say 'missing: skip' in streams.j"
+    is_refused(tmp_path, words, **(keys | {"streams": both}))
+    skipping = both | {"j": stream | {"missing": "skip"}, "hand": stream | {"missing": "skip"}}
+    for episode in imported(tmp_path, **(keys | {"streams": skipping})):
+        assert episode["q_00"].to_list() == [0, 2, 2, 4, 4, 6, 6] and episode["q_01"].to_list()[-1] == -6
+        assert episode["f_00"].to_list() == [10, 10, 30, 30, 50, 50, 70]
+    # The first mapping has a stream for each of them.
+    first = tmp_path / "first.yaml"
+    line = [sys.executable, "-m", "harness.importing", "--inspect", tmp_path / "rec", "--output", first]
+    answer = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert "5 messages of the joints arm_1, arm_2\n" in answer.stdout, answer.stderr
+    first.write_text(first.read_text().replace("setpoint: command ", "setpoint: command #"))
+    name = import_dataset(first, tmp_path / "first", progress=False)
+    columns = pl.read_parquet(tmp_path / f"first/datasets/{name}/episode_00000.parquet").columns
+    assert [each for each in columns if "position" in each] == [
+        "joints_position_00",
+        "joints_position_01",
+        "joints_2_position_00",
+    ]
