@@ -4,6 +4,8 @@ import json
 import shutil
 import subprocess
 import sys
+import types
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -204,3 +206,161 @@ def test_two_publishers_of_a_topic_are_told_apart_by_their_joints(tmp_path):
         "joints_position_01",
         "joints_2_position_00",
     ]
+
+
+# --- the rows of Parquet files and LeRobot datasets ---
+
+OF_ROWS = {"format": "parquet", "episode": "ep", "order": "t", "modalities": {"setpoint": "u", "x": "x"}}
+DAY = datetime(2026, 1, 5, 10)
+
+
+def rows(order: Any = None, **columns: Any) -> pl.DataFrame:
+    """Three episodes of eight rows, in disorder, in which `x` counts the rows."""
+    index = np.tile(np.arange(8), 3)
+    values = {"ep": np.repeat([0, 1, 2], 8), "t": index if order is None else order, "u": index, "x": index}
+    return pl.DataFrame(values | columns).sample(fraction=1, shuffle=True, seed=1)
+
+
+def write_rows(folder: Path, table: pl.DataFrame) -> None:
+    (folder / "rec").mkdir()
+    # The second file has its columns in another order.
+    table[:10].write_parquet(folder / "rec/a.parquet")
+    table[10:].select(reversed(table.columns)).write_parquet(folder / "rec/b.parquet")
+
+
+INDEX = np.tile(np.arange(8), 3)
+JITTER = np.tile([0, 30, -30, 10, -40, 0, 40, 0], 3)
+"""How late rows come, ms."""
+
+
+@pytest.mark.parametrize(
+    "order",
+    {
+        "a counter": INDEX,
+        "a counter over all episodes": np.arange(24) + 7,
+        "a counter as float": INDEX * 1.0,
+        "s": INDEX / 10,
+        "s since 1970": 1.7e9 + INDEX / 10 + JITTER / 1000,
+        "ms": INDEX * 100 + JITTER,
+        "us": INDEX * 100_000,
+        "ns": START + INDEX * TENTH,
+        "dates": [DAY + timedelta(milliseconds=int(each)) for each in INDEX * 100 + JITTER],
+        "durations": [timedelta(milliseconds=int(each)) for each in INDEX * 100],
+    }.items(),
+    ids=lambda each: each[0],
+)
+def test_rows_of_parquet_files_are_sorted_by(tmp_path, order):
+    write_rows(tmp_path, rows(order[1]))
+    assert [episode["x_00"].to_list() for episode in imported(tmp_path, **OF_ROWS)] == [list(range(8))] * 3
+
+
+PLACE = r"rec/[ab].parquet: row \d+"
+ROW_CASES: dict[str, tuple[pl.DataFrame, str]] = {
+    "text": (rows(pl.Series(INDEX).cast(pl.String)), "order: 't' holds String, .*as text, 10 comes before 2; name"),
+    "no order in a row": (
+        rows(pl.Series([*INDEX[:-3], None, *INDEX[-2:]])),
+        f"order: .*{PLACE}: 't' is null; every row needs a value of it",
+    ),
+    "NaN as order": (
+        rows(np.where(INDEX == 5, np.nan, INDEX)),
+        f"order: .*{PLACE}: 't' is nan; every row needs a value",
+    ),
+    "no episode in rows": (
+        rows(ep=pl.Series([0] * 8 + [1] * 8 + [None] * 8)),
+        f"episode: .*{PLACE}: 'ep' is null; every row needs a value of it",
+    ),
+    "a row twice": (
+        rows(np.where(INDEX == 5, 4, INDEX)),
+        f"order: two rows of an .* same 't': .*{PLACE} and .*{PLACE}",
+    ),
+    "missing rows": (
+        rows().filter((pl.col("t") != 5) | (pl.col("ep") != 1)),
+        f"order: .*{PLACE}: the row with t 6 of episode 1 comes 2 samples after the row before it at sample_rate_hz 10",
+    ),
+    "a gap in time": (
+        rows(INDEX * 100 + np.where(INDEX > 4, 310, 0)),
+        f"{PLACE}: the row with t 810 of episode 0 comes 4.1 samples after the row before it",
+    ),
+    "a rate of 20 Hz": (
+        rows(INDEX * 50),
+        "order: 't' grows by 50 from row to row, which does not fit sample_rate_hz 10: a counter grows by 1, and a "
+        r"time by 0.1 s or 100 ms or 100000 us or 1e\+08 ns; write the rate of the rows, .* 20 if it is in ms",
+    ),
+    "dates at 20 Hz": (
+        rows([DAY + timedelta(milliseconds=int(each)) for each in INDEX * 50]),
+        "'t' grows by 50000 from .* and a time by 100000 us; write the rate of the rows, which is 20 if it is in us",
+    ),
+    "a rate of 9 Hz": (
+        rows(INDEX / 9 * np.repeat([0.9, 1.2, 0.9], 8)),
+        "the row with t .* of episode 1 is row 7, and comes 9.333 samples after row 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ROW_CASES)
+def test_parquet_files_are_refused_with(tmp_path, case):
+    table, words = ROW_CASES[case]
+    write_rows(tmp_path, table)
+    is_refused(tmp_path, words, **OF_ROWS)
+
+
+def test_values_of_a_lerobot_dataset_keep_the_order_of_their_axes(tmp_path, monkeypatch):
+    """With a stand-in for the package lerobot, which the other tests use."""
+    shape = (4, 4, 3)
+    features = {"action": ("float32", [1]), "pads": ("float32", list(shape)), "camera": ("video", [6, 8, 3])}
+    times = INDEX / 10
+
+    def values(row: int) -> dict[str, Any]:
+        picture = np.zeros((3, 6, 8), np.uint8)
+        picture[1] = 250
+        tensors = {"action": np.ones(1), "pads": np.arange(48.0).reshape(shape) + row, "camera": picture}
+        named = {name: types.SimpleNamespace(numpy=lambda value=value: value) for name, value in tensors.items()}
+        return named | {"timestamp": times[row]}
+
+    class Dataset:
+        fps = 10
+
+        def __init__(self, *_: Any, **__: Any):
+            episodes = [{"dataset_from_index": first, "dataset_to_index": first + 8} for first in (0, 8, 16)]
+            kinds = {name: {"dtype": kind, "shape": size} for name, (kind, size) in features.items()}
+            self.meta = types.SimpleNamespace(features=kinds, episodes=episodes)
+
+        def __getitem__(self, row: int) -> dict[str, Any]:
+            return values(row)
+
+    monkeypatch.setitem(sys.modules, "lerobot", types.ModuleType("lerobot"))
+    monkeypatch.setitem(sys.modules, "lerobot.datasets", types.SimpleNamespace(LeRobotDataset=Dataset))
+    (tmp_path / "rec/meta").mkdir(parents=True)
+    (tmp_path / "rec/meta/info.json").write_text("{}")
+    keys = {"format": "lerobot", "modalities": {"setpoint": "action", "pads": "pads", "vision": "camera"}}
+    keys["sample_rate_hz"] = None
+    path = tmp_path / "lab.yaml"
+    path.write_text(json.dumps({"name": "lab", "source": "rec"} | {key: each for key, each in keys.items() if each}))
+    name = import_dataset(path, tmp_path / "results", progress=False)
+    first = pl.read_parquet(tmp_path / f"results/datasets/{name}/episode_00000.parquet")
+    assert first.select(pl.col("^pads_.*$")).row(0) == tuple(range(1, 49))
+    assert (np.frombuffer(first["vision"][0], np.uint8).reshape(64, 64, 3) == [0, 250, 0]).all()
+    times = times + np.where(INDEX > 5, 0.31, 0)
+    with pytest.raises(ValueError, match="rec, episode 0: frame 6: comes 4.1 samples after the row before it at 10"):
+        import_dataset(path, tmp_path / "again", progress=False)
+
+
+# --- the place of a fault ---
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,cmd,a_1\r0,1,2\r0.1,1,2\r", "rec/t1.csv: line 1: the lines end in CR alone; save the file with lines"),
+        ("time,cmd,a_1\n0,1,2\n", "rec/t1.csv, from 0 s: episode 1: it has 1 sample; it must have 2 or more"),
+        ("0,1,2\n0.1,1,3\n", "rec/t1.csv: there is no column 'time'; the columns are 0, 1, 2"),
+        ("time,cmd,b_1\n0,1,2\n0.1,1,2\n", "rec/t1.csv: modalities.a: there is no column 's.a_1'; the columns are"),
+        ("time,cmd,a_1\n0,1,NA\n0.1,1,2\n", "rec/t1.csv: line 2: 'a_1' is 'NA', which is no number; leave a missing"),
+        (f"time,cmd,a_1,{'x' * 200_000}\n0,1,2,3\n", "rec/t1.csv: line 1: can't be read: field larger than"),
+    ],
+)
+def test_a_fault_in_a_csv_file_is_told_with_the_file(tmp_path, text, words):
+    for index in range(3):
+        write_table(tmp_path / f"rec/t{index}.csv", trial("a_1"))
+    (tmp_path / "rec/t1.csv").write_bytes(text.encode())
+    is_refused(tmp_path, words, modalities={"setpoint": "s.cmd", "a": "s.a_1"}, **of_table(".csv"))

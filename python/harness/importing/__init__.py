@@ -168,7 +168,7 @@ def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch
                 try:
                     episode = episode_of(count, columns, mapping, recording.sample_rate_hz, bar.update)
                 except MappingError as error:
-                    raise MappingError(f"episode {count}: {error}") from None
+                    raise MappingError(f"{recording.places[count]}: episode {count}: {error}") from None
                 count += 1
                 sketch.add(episode)
                 yield episode

@@ -34,7 +34,9 @@ def takes(mapping: Mapping) -> Iterator[Take]:
     for star in _stars(mapping, mapping.sampling.streams):
         tables: dict[Path, Table] = {}
         streams = {name: _open(mapping, settings, star, tables) for name, settings in mapping.sampling.streams.items()}
-        name = str(mapping.source / star) if star else str(mapping.source)
+        files = {settings.where.get("file", "") for settings in mapping.sampling.streams.values()}
+        place = files.pop().replace("*", star) if len(files) == 1 else star
+        name = str(mapping.source / place)
         yield from [Take(name, streams)] if by_column is None else _by_column(name, streams, by_column)
 
 
@@ -153,8 +155,10 @@ class Table:
         self.separator = max(SEPARATORS, key=header.count)
         self.first_line = skipped + 2
         """The line of row 0, if no value contains a line break."""
-        self.names = [name.strip() for name in next(csv.reader(io.StringIO(header), delimiter=self.separator), [])]
         line = f"{path}: line {skipped + 1}"
+        with blaming(line):
+            names = next(csv.reader(io.StringIO(header), delimiter=self.separator), [])
+        self.names = [name.strip() for name in names]
         if not any(self.names):
             raise MappingError(f"{line}: there is no header with the names of the columns")
         for name in self.names:
@@ -188,7 +192,10 @@ class Table:
             numbers = text.cast(pl.Float64, strict=False)
             wrong = (numbers.is_null() & text.is_not_null() & (text != "")).arg_true()
             if len(wrong):
-                raise MappingError(f"{self.at(wrong[0])}: '{column}' is {text[wrong[0]]!r}, which is no number")
+                raise MappingError(
+                    f"{self.at(wrong[0])}: '{column}' is {text[wrong[0]]!r}, which is no number; leave a missing value "
+                    "empty, or write nan"
+                )
             self._numbers[column] = numbers.fill_null(float("nan")).to_numpy()
         return self._numbers[column]
 
@@ -256,7 +263,13 @@ def _header(path: Path) -> tuple[int, str]:
             if "\0" in text:
                 raise MappingError(f"{path}: line {skipped + 1}: is no text: it contains a byte 0")
             if text.strip() and not text.startswith(COMMENT):
-                return skipped, text.rstrip("\r\n")
+                header = text.rstrip("\r\n")
+                if "\r" in header:
+                    raise MappingError(
+                        f"{path}: line {skipped + 1}: the lines end in CR alone; save the file with lines that end in "
+                        "LF or CR LF"
+                    )
+                return skipped, header
             skipped += 1
     raise MappingError(f"{path}: line {skipped + 1}: the file ends before a header with the names of the columns")
 

@@ -12,6 +12,7 @@ import numpy as np
 from .alignment import wanted
 from .mapping import Columns, Mapping, MappingError
 from .recording import Recording
+from .streams import irregular
 
 
 def open_lerobot(mapping: Mapping) -> Recording:
@@ -33,14 +34,21 @@ def open_lerobot(mapping: Mapping) -> Recording:
         dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
     columns = wanted(mapping.selections, list(dataset.meta.features))
 
+    pictures = {name for name, feature in dataset.meta.features.items() if feature["dtype"] in ("image", "video")}
+    places = [f"{mapping.source}, episode {index}" for index in range(len(dataset.meta.episodes))]
+
     def episodes() -> Iterator[Columns]:
-        for episode in dataset.meta.episodes:
+        for episode, place in zip(dataset.meta.episodes, places, strict=True):
             rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
             with _blaming(mapping.source):
                 items = [dataset[row] for row in rows]
-            yield {name: np.stack([_plain(item[name]) for item in items]) for name in columns}
+            times = np.array([float(item["timestamp"]) for item in items])
+            if problem := irregular(times, 1 / dataset.fps):
+                row, how = problem
+                raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
+            yield {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
 
-    return Recording(float(dataset.fps), len(dataset.meta.episodes), episodes())
+    return Recording(float(dataset.fps), len(places), episodes(), places)
 
 
 @contextlib.contextmanager
@@ -52,7 +60,7 @@ def _blaming(source: Path) -> Iterator[None]:
         raise MappingError(f"source: LeRobot can't read {source}: {' '.join(str(error).split())}") from error
 
 
-def _plain(value: Any) -> np.ndarray:
+def _plain(value: Any, is_picture: bool) -> np.ndarray:
     """Returns a tensor as an array. The channels of a picture become its last axis."""
     array: np.ndarray = value.numpy()
-    return array.transpose(1, 2, 0) if array.ndim == 3 else array
+    return array.transpose(1, 2, 0) if is_picture else array

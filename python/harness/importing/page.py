@@ -98,12 +98,11 @@ def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sk
         source = " + ".join(selection.terms)
         parts.append(f"<h2>{modality} <span class='note'>from {html.escape(source)}</span></h2>")
         parts += _images(modality, sketch) if selection.size else _vector(modality, selection.unit, sketch)
-    if recording.places:
-        rows = "".join(
-            f"<tr><td>{index}</td><td>{length}</td><td class='text'>{html.escape(place)}</td></tr>"
-            for index, (length, place) in enumerate(zip(sketch.lengths, recording.places, strict=True))
-        )
-        parts.append(f"<h2>Episodes</h2><table><tr><th>episode</th><th>samples</th><td></td></tr>{rows}</table>")
+    rows = "".join(
+        f"<tr><td>{index}</td><td>{length}</td><td class='text'>{html.escape(place)}</td></tr>"
+        for index, (length, place) in enumerate(zip(sketch.lengths, recording.places, strict=True))
+    )
+    parts.append(f"<h2>Episodes</h2><table><tr><th>episode</th><th>samples</th><td></td></tr>{rows}</table>")
     head = (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(name)}</title><style>{STYLE}</style>'
     )

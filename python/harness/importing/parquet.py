@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+from pathlib import Path
+
+import numpy as np
 import polars as pl
 
 from .alignment import wanted
-from .mapping import Mapping, MappingError, Rows
+from .mapping import UNITS, Mapping, MappingError, Rows
 from .recording import Recording
+from .streams import irregular
 
 
 def open_parquet(mapping: Mapping, what: Rows) -> Recording:
     """Opens Parquet files.
 
     Raises:
-        MappingError: they can't be read, or do not fit the mapping.
+        MappingError: they can't be read, do not fit the mapping, or their rows are not samples at its rate.
         FileNotFoundError: there is none.
     """
     files = sorted(mapping.source.glob("**/*.parquet")) if mapping.source.is_dir() else [mapping.source]
@@ -21,17 +26,114 @@ def open_parquet(mapping: Mapping, what: Rows) -> Recording:
         raise FileNotFoundError(f"source: {mapping.source} holds no .parquet file")
     keys = list(dict.fromkeys([what.episode, what.order]))
     try:
-        table = pl.scan_parquet(files, hive_partitioning=False)
+        table = scanned(files)
         available = table.collect_schema().names()
         for key in keys:
             if key not in available:
                 raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
         columns = wanted(mapping.selections, available)
+        _check_order(files, table.select(keys).collect(), what)
         rows = table.select(list(dict.fromkeys([*keys, *columns]))).sort(keys).collect()
     except pl.exceptions.PolarsError as error:
-        raise MappingError(f"source: {mapping.source} can't be read: {error}") from None
-    if rows.select(keys).is_duplicated().any():
-        raise MappingError(f"order: two rows of an episode have the same '{what.order}'")
+        raise MappingError(f"source: {mapping.source} can't be read: {' '.join(str(error).split())}") from None
     groups = rows.partition_by(what.episode, maintain_order=True)
     episodes = ({name: group[name].to_list() for name in columns} for group in groups)
-    return Recording(what.sample_rate_hz, len(groups), episodes)
+    places = [f"{mapping.source}, {what.episode} {group[what.episode][0]}" for group in groups]
+    return Recording(what.sample_rate_hz, len(groups), episodes, places)
+
+
+def scanned(files: list[Path]) -> pl.LazyFrame:
+    """Returns the rows of files, without a meaning for any letter in their paths."""
+    return pl.scan_parquet([path.absolute() for path in files], glob=False, hive_partitioning=False)
+
+
+def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:
+    """Checks that the rows of each episode are its samples, one after the other at the sample rate.
+
+    Args:
+        files: the files.
+        keys: the columns `episode` and `order` of all rows, in the order of the files.
+        what: the names of these columns, and the sample rate.
+
+    Raises:
+        MappingError: they are not.
+    """
+    for key, name in (("episode", what.episode), ("order", what.order)):
+        given = keys[name]
+        has_value = given.is_finite().fill_null(False) if given.dtype.is_float() else given.is_not_null()
+        for row in (~has_value).arg_true().head(1):
+            found = "null" if given[row] is None else given[row]
+            raise MappingError(f"{key}: {_at(files, row)}: '{name}' is {found}; every row needs a value of it")
+    places = keys.select(pl.arg_sort_by(keys.columns)).to_series()
+    keys = keys[places]
+    twice = keys.is_duplicated().arg_true()
+    if len(twice):
+        same = " and ".join(_at(files, places[row]) for row in twice.head(2))
+        raise MappingError(f"order: two rows of an episode have the same '{what.order}': {same}")
+    values, units = _numbers(keys[what.order])
+    episodes = keys[what.episode]
+    is_next = (episodes == episodes.shift()).fill_null(False).to_numpy()
+    period = _period(values, np.diff(values)[is_next[1:]], units, what)
+    starts = np.flatnonzero(~is_next).tolist()
+    for start, end in itertools.pairwise([*starts, len(values)]):
+        if problem := irregular(values[start:end], period):
+            row, how = start + problem[0], problem[1]
+            raise MappingError(
+                f"order: {_at(files, places[row])}: the row with {what.order} {keys[what.order][row]} of episode "
+                f"{episodes[row]} {how} at sample_rate_hz {what.sample_rate_hz:g}; each row is a sample, and none may "
+                "be missing; if they have times, write them to a CSV file, whose rows are aligned by their times"
+            )
+
+
+def _numbers(order: pl.Series) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Returns the column `order` as numbers, and the units that they may have if they are times.
+
+    Raises:
+        MappingError: it holds something else.
+    """
+    kind = order.dtype
+    if kind.is_integer() or kind.is_float():
+        return order.to_numpy(), tuple(UNITS)
+    if kind.is_decimal():
+        return order.cast(pl.Float64).to_numpy(), tuple(UNITS)
+    if isinstance(kind, pl.Datetime | pl.Duration):
+        return order.cast(pl.Int64).to_numpy(), (str(kind.time_unit),)
+    raise MappingError(
+        f"order: '{order.name}' holds {kind}, whose order may be another than that of the rows: as text, 10 comes "
+        "before 2; name a column of numbers, of dates with times, or of durations"
+    )
+
+
+def _period(values: np.ndarray, steps: np.ndarray, units: tuple[str, ...], what: Rows) -> float:
+    """Returns what `order` grows by from a sample to the next: 1 if it counts them, otherwise their period as a time.
+
+    Raises:
+        MappingError: it grows by something else.
+    """
+    if len(steps) == 0:
+        return 1.0
+    typical = float(np.median(steps))
+    periods = {unit: 1e9 / what.sample_rate_hz / UNITS[unit] for unit in units}
+    allowed = [f"{period:g} {unit}" for unit, period in periods.items()]
+    if len(units) > 1 and (values == np.rint(values)).all():
+        periods["counter"] = 1.0
+    period = min(periods.values(), key=lambda each: abs(np.log(typical / each)))
+    if 1 / 1.5 < typical / period < 1.5:
+        return period
+    rates = {unit: 1e9 / UNITS[unit] / typical for unit in units}
+    fitting = [f"{rate:.4g} if it is in {unit}" for unit, rate in rates.items() if 0.01 <= rate <= 1000]
+    raise MappingError(
+        f"order: '{what.order}' grows by {typical:g} from row to row, which does not fit sample_rate_hz "
+        f"{what.sample_rate_hz:g}: a counter grows by 1, and a time by {' or '.join(allowed)}; "
+        f"write the rate of the rows{', which is ' * bool(fitting)}{', and '.join(fitting)}"
+    )
+
+
+def _at(files: list[Path], row: int) -> str:
+    """Returns the place of a row, counted over all files."""
+    for path in files:
+        length = scanned([path]).select(pl.len()).collect().item()
+        if row < length:
+            return f"{path}: row {row}"
+        row -= length
+    raise IndexError(row)

@@ -25,8 +25,8 @@ class Recording:
     """Number of episodes."""
     episodes: Iterator[Columns]
     """The values of the needed columns in each episode, [samples, …]."""
-    places: list[str] = field(default_factory=list)
-    """Where each episode is in the recording, for streams."""
+    places: list[str]
+    """Where each episode is in the recording."""
     qualities: list[Quality] = field(default_factory=list)
     """What is known about the times of each stream."""
     left_out: int = 0
