@@ -4,11 +4,13 @@ import json
 import shutil
 import subprocess
 import sys
+import tempfile
 import types
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import av
 import h5py
 import numpy as np
 import polars as pl
@@ -343,6 +345,77 @@ def test_values_of_a_lerobot_dataset_keep_the_order_of_their_axes(tmp_path, monk
     times = times + np.where(INDEX > 5, 0.31, 0)
     with pytest.raises(ValueError, match="rec, episode 0: frame 6: comes 4.1 samples after the row before it at 10"):
         import_dataset(path, tmp_path / "again", progress=False)
+
+
+# --- paths ---
+
+SPECIAL = "a b [1] * ? # %41 {x,y} é 漢"
+DECOYS = ("a b 1 * ? # %41 {x,y} é 漢", "a b [1] * ? # A {x,y} é 漢", "a b [1] * ")
+"""What a reader makes of SPECIAL that takes it as a pattern or as a part of a URI."""
+
+
+def write_special(place: Path, kind: str, value: float) -> None:
+    """Writes three recordings of one value."""
+    place.mkdir(parents=True, exist_ok=True)
+    x, u, times = np.full(5, float(value)), np.arange(5.0), np.arange(5) / 10
+    for index in range(3):
+        stem = f"t[{index}] %41#"
+        if kind in ("db3", "mcap"):
+            storage = StoragePlugin.SQLITE3 if kind == "db3" else StoragePlugin.MCAP
+            plain = Path(tempfile.mkdtemp()) / f"t{index}"
+            messages = [command(row) for row in range(5)] + [joints(row, {"x": value}) for row in range(5)]
+            write_bag(plain, messages, storage)
+            # The package that writes bags can't write to such paths.
+            (plain / f"t{index}.{kind}").rename(plain / f"{stem}.{kind}")
+            metadata = plain / "metadata.yaml"
+            metadata.write_text(metadata.read_text().replace(f"t{index}.{kind}", f"{stem}.{kind}"))
+            shutil.move(plain, place / stem)
+            plain.parent.rmdir()
+        elif kind == "parquet":
+            table = pl.DataFrame({"ep": [index] * 5, "t": range(5), "u": u, "x": x})
+            with open(place / f"{stem}.parquet", "wb") as file:
+                table.write_parquet(file)
+        else:
+            write_table(place / f"{stem}.{kind}", {"time": times, "u": u, "x": x})
+        if kind == "csv":
+            with av.open(f"file:{place / stem}.mp4", "w") as container:
+                stream = container.add_stream("mpeg4", rate=10)
+                stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+                for _ in range(5):
+                    picture = np.full((48, 64, 3), value * 10, np.uint8)
+                    container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+                container.mux(stream.encode())
+
+
+def of_special(kind: str) -> dict[str, Any]:
+    if kind == "parquet":
+        return OF_ROWS
+    if kind in ("db3", "mcap"):
+        return OF_BAGS | {"modalities": {"setpoint": "c", "x": "j.position"}}
+    keys = of_table(f".{kind}") | {"modalities": {"setpoint": "s.u", "x": "s.x"}}
+    if kind == "csv":
+        files = "t[*] %41#"
+        keys["streams"] = {"s": {"file": f"{files}.csv", "time": "time"}, "v": {"file": f"{files}.mp4"}}
+        keys["modalities"] = keys["modalities"] | {"vision": "v"}
+    return keys
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "h5", "zarr", "mat", "db3", "mcap"])
+def test_letters_of_a_path_stand_for_themselves(tmp_path, kind, monkeypatch):
+    folder = tmp_path / SPECIAL
+    write_special(folder / "rec [x]", kind, 7)
+    write_special(folder / "rec x", kind, 9)
+    for decoy in DECOYS:
+        write_special(tmp_path / decoy / "rec [x]", kind, 9)
+    monkeypatch.chdir(folder)
+    patterns = [] if kind in ("csv", "parquet") else ["rec [x]/t[?]*"]
+    for source in ["rec [x]", str(folder / "rec [x]"), *patterns]:
+        for relative in (Path(), folder):
+            episodes = imported(relative, source=source, **of_special(kind))
+            assert len(episodes) == 3
+            for episode in episodes:
+                assert episode["x_00"].to_list() == [7] * 5
+                assert kind != "csv" or abs(np.frombuffer(episode["vision"][0], np.uint8).mean() - 70) < 5
 
 
 # --- the place of a fault ---

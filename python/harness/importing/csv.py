@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from .mapping import Mapping, MappingError, StreamSettings
-from .streams import Stream, Take, blaming, changes, divided, nanoseconds, natural, regular
+from .streams import Stream, Take, blaming, changes, divided, matching, nanoseconds, natural, regular
 from .video import VIDEOS, Folder, Video
 
 COMMENT = "#"
@@ -59,7 +59,7 @@ def _stars(mapping: Mapping, streams: dict[str, StreamSettings]) -> list[str]:
     for pattern in patterns:
         before, _, after = pattern.partition("*")
         expression = re.compile(f"{re.escape(before)}([^/]*){re.escape(after)}")
-        paths = [path.relative_to(mapping.source).as_posix() for path in mapping.source.glob(pattern)]
+        paths = [path.relative_to(mapping.source).as_posix() for path in matching(mapping.source, pattern)]
         found |= {match[1] for match in map(expression.fullmatch, paths) if match}
     if patterns and not found:
         raise FileNotFoundError(f"source: {mapping.source} holds no {' and no '.join(patterns)}")
@@ -166,7 +166,8 @@ class Table:
                 raise MappingError(f"{line}: the column '{name}' is there twice")
         try:
             self.frame = pl.read_csv(
-                path,
+                path.absolute(),
+                glob=False,
                 has_header=False,
                 skip_rows=skipped + 1,
                 separator=self.separator,

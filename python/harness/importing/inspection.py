@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from . import csv, hdf5, matlab, ros2, zarr
+from . import csv, hdf5, matlab, parquet, ros2, zarr
 from .arrays import Arrays
 from .mapping import KNOWN, NAME, RESERVED, MappingError
 from .recording import duration
@@ -405,7 +405,7 @@ def _list(stream: str, names: list[str]) -> str:
 def _parquet(path: Path) -> Contents:
     files = [path] if path.is_file() else sorted(path.glob("**/*.parquet"))
     with blaming(str(files[0])):
-        schema = pl.scan_parquet(files[0]).collect_schema()
+        schema = parquet.scanned(files[:1]).collect_schema()
     lines = [f"{files[0]}:"] + [f"  {name}  {kind}" for name, kind in schema.items()]
     episode = next((name for name in schema if re.search(r"episode|trial|run", name, re.IGNORECASE)), "")
     rows = re.compile(r"^(sample|frame|index|row|step)|time|stamp")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PosixPath
 from typing import Any
 
 import numpy as np
@@ -141,8 +141,16 @@ def opened(path: Path) -> Iterator[Bag]:
         from rosbags.typesys import Stores, get_typestore
     with contextlib.ExitStack() as stack:
         with blaming(str(path)):
-            reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
+            types = get_typestore(Stores.ROS2_HUMBLE)
+            reader = stack.enter_context(AnyReader([_BagPath(path)], default_typestore=types))
         yield Bag(path, reader)
+
+
+class _BagPath(PosixPath):
+    """A path in whose text `%`, `?` and `#` are escaped by format(), because rosbags formats it into an SQLite URI."""
+
+    def __format__(self, _: str) -> str:
+        return str(self).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
 
 
 class BagStream(Stream):

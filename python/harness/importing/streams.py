@@ -195,6 +195,11 @@ def natural(path: Path) -> list[Any]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]
 
 
+def matching(folder: Path, pattern: str) -> list[Path]:
+    """Returns the paths in a folder that match a pattern of `*` and `?`. Brackets stand for themselves."""
+    return list(folder.glob(pattern.replace("[", "[[]")))
+
+
 def sources(
     mapping: Mapping, suffixes: tuple[str, ...], marks: tuple[str, ...] = (), inner: tuple[str, ...] = ()
 ) -> list[Path]:
@@ -215,8 +220,8 @@ def sources(
         return path.suffix in suffixes or any((path / mark).exists() for mark in marks)
 
     if not source.exists():
-        anchor = Path(source.anchor)
-        found = list(anchor.glob(str(source.relative_to(anchor))))
+        folder = next(each for each in source.parents if each.exists())
+        found = matching(folder, str(source.relative_to(folder)))
     elif source.is_file() or is_one(source):
         found = [source]
     else:
