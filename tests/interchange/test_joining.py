@@ -403,13 +403,13 @@ def of_special(kind: str) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", ["csv", "parquet", "h5", "zarr", "mat", "db3", "mcap"])
 def test_letters_of_a_path_stand_for_themselves(tmp_path, kind, monkeypatch):
     folder = tmp_path / SPECIAL
-    write_special(folder / "rec [x]", kind, 7)
-    write_special(folder / "rec x", kind, 9)
+    write_special(folder / "rec:[x]", kind, 7)
+    write_special(folder / "rec:x", kind, 9)
     for decoy in DECOYS:
-        write_special(tmp_path / decoy / "rec [x]", kind, 9)
+        write_special(tmp_path / decoy / "rec:[x]", kind, 9)
     monkeypatch.chdir(folder)
-    patterns = [] if kind in ("csv", "parquet") else ["rec [x]/t[?]*"]
-    for source in ["rec [x]", str(folder / "rec [x]"), *patterns]:
+    patterns = [] if kind in ("csv", "parquet") else ["rec:[x]/t[?]*"]
+    for source in ["rec:[x]", str(folder / "rec:[x]"), *patterns]:
         for relative in (Path(), folder):
             episodes = imported(relative, source=source, **of_special(kind))
             assert len(episodes) == 3

@@ -131,7 +131,8 @@ def _opened(path: Path) -> Iterator[Any]:
     with needing("av", "videos"):
         import av
     with blaming(str(path)):
-        container = av.open(str(path))
+        # Otherwise, what is before a colon would be a protocol.
+        container = av.open(f"file:{path}")
     with container:
         yield container
 
