@@ -1,6 +1,8 @@
 """Recordings whose files order their elements differently, that miss rows, or whose paths have special letters."""
 
 import json
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -416,6 +418,15 @@ def test_letters_of_a_path_stand_for_themselves(tmp_path, kind, monkeypatch):
             for episode in episodes:
                 assert episode["x_00"].to_list() == [7] * 5
                 assert kind != "csv" or abs(np.frombuffer(episode["vision"][0], np.uint8).mean() - 70) < 5
+
+
+def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):
+    source = tmp_path / SPECIAL / "it's"
+    write_table(source / "t1.csv", trial("a_1"))
+    line = [sys.executable, "-m", "harness.importing", "--inspect", source]
+    answer = subprocess.run(line, capture_output=True, text=True, check=False)
+    (proposed,) = re.findall("`harness import (.*)`", answer.stdout)
+    assert shlex.split(proposed) == [f"{source}.yaml"] and Path(f"{source}.yaml").exists()
 
 
 # --- the place of a fault ---

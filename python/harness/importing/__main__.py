@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def _inspect(source: Path, output: Path | None) -> None:
         raise FileExistsError(
             f"{output} is there already, and was not changed; name another file with --output MAPPING"
         ) from None
-    print(f"{output}: a first mapping; edit it, then import it with 'harness import {output}'")
+    print(f"{output}: a first mapping; edit it, then import it with `harness import {shlex.quote(str(output))}`")
 
 
 if __name__ == "__main__":
