@@ -437,6 +437,8 @@ def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):
     [
         ("time,cmd,a_1\r0,1,2\r0.1,1,2\r", "rec/t1.csv: line 1: the lines end in CR alone; save the file with lines"),
         ("time,cmd,a_1\n0,1,2\n", "rec/t1.csv, from 0 s: episode 1: it has 1 sample; it must have 2 or more"),
+        ("time,cmd,a_1\n0,1\n0.1,1,3\n", "rec/t1.csv: line 2: has 2 values, and the header 3$"),
+        ("time,cmd,a_1\n\n0,1,2\n0.1,1,3\n", "rec/t1.csv: line 2: has 0 values, and the header 3$"),
         ("0,1,2\n0.1,1,3\n", "rec/t1.csv: there is no column 'time'; the columns are 0, 1, 2"),
         ("time,cmd,b_1\n0,1,2\n0.1,1,2\n", "rec/t1.csv: modalities.a: there is no column 's.a_1'; the columns are"),
         ("time,cmd,a_1\n0,1,NA\n0.1,1,2\n", "rec/t1.csv: line 2: 'a_1' is 'NA', which is no number; leave a missing"),
@@ -448,3 +450,12 @@ def test_a_fault_in_a_csv_file_is_told_with_the_file(tmp_path, text, words):
         write_table(tmp_path / f"rec/t{index}.csv", trial("a_1"))
     (tmp_path / "rec/t1.csv").write_bytes(text.encode())
     is_refused(tmp_path, words, modalities={"setpoint": "s.cmd", "a": "s.a_1"}, **of_table(".csv"))
+
+
+def test_a_comment_above_the_header_may_have_a_quotation_mark(tmp_path):
+    lines = ['# a pad of 5"', "time,cmd,a_1,label", *(f'{row / 10},1,{row},"a"' for row in range(5))]
+    for index in range(3):
+        (tmp_path / "rec").mkdir(exist_ok=True)
+        (tmp_path / f"rec/t{index}.csv").write_text("\n".join(lines))
+    for episode in imported(tmp_path, modalities={"setpoint": "s.cmd", "a": "s.a_1"}, **of_table(".csv")):
+        assert episode["a_00"].to_list() == [0, 1, 2, 3, 4]

@@ -169,7 +169,8 @@ class Table:
                 path.absolute(),
                 glob=False,
                 has_header=False,
-                skip_rows=skipped + 1,
+                # Unlike skip_rows, it does not take a quotation mark in a comment for the begin of a text.
+                skip_lines=skipped + 1,
                 separator=self.separator,
                 schema=dict.fromkeys(self.names, pl.String),
                 infer_schema=False,
@@ -239,8 +240,8 @@ class Table:
                 for _ in range(self.first_line - 1):
                     file.readline()
                 reader = csv.reader(file, delimiter=self.separator)
-                for values in reader:
-                    if len(values) > len(self.names):
+                for row, values in enumerate(reader):
+                    if len(values) > len(self.names) or (row == 0 and len(values) < len(self.names)):
                         line = self.first_line - 1 + reader.line_num
                         return f"{self.path}: line {line}: has {len(values)} values, and the header {len(self.names)}"
         except (ValueError, csv.Error):
