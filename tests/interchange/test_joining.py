@@ -19,6 +19,7 @@ import polars as pl
 import pytest
 import scipy.io
 import zarr
+from PIL import Image
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -459,3 +460,18 @@ def test_a_comment_above_the_header_may_have_a_quotation_mark(tmp_path):
         (tmp_path / f"rec/t{index}.csv").write_text("\n".join(lines))
     for episode in imported(tmp_path, modalities={"setpoint": "s.cmd", "a": "s.a_1"}, **of_table(".csv")):
         assert episode["a_00"].to_list() == [0, 1, 2, 3, 4]
+
+
+def test_a_counted_image_that_is_missing_is_refused_with_a_rate(tmp_path):
+    keys = of_table(".csv") | {"modalities": {"setpoint": "s.cmd", "vision": "v"}}
+    keys["streams"] = {"s": {"file": "*/log.csv", "time": "time"}, "v": {"file": "*/camera", "rate_hz": 10}}
+    for index in range(3):
+        write_table(tmp_path / f"rec/t{index}/log.csv", trial())
+        (tmp_path / f"rec/t{index}/camera").mkdir()
+        for frame in range(8, 12):
+            Image.new("RGB", (8, 6)).save(tmp_path / f"rec/t{index}/camera/frame_{frame}_left.png")
+    assert len(imported(tmp_path, **keys)) == 3
+    shutil.rmtree(tmp_path / "results")
+    (tmp_path / "rec/t1/camera/frame_10_left.png").unlink()
+    words = "t1/camera/frame_9_left.png: the next image is frame_11_left.png; with rate_hz, no image may be missing"
+    is_refused(tmp_path, words, **keys)

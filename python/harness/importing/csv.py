@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -94,6 +95,8 @@ def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Pa
                 f"{listed.path}: has {len(frames.times)} rows, and {path} has {frames.count} frames; they must be equal"
             )
     elif settings.rate_hz:
+        if isinstance(frames, Folder):
+            _check_numbers(frames)
         frames.times = regular(frames.count, settings.rate_hz)
     elif where.get("time") == "name" and isinstance(frames, Folder):
         frames.times = frames.times_in_names(settings.time_unit)
@@ -101,6 +104,18 @@ def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Pa
         name = "" if isinstance(frames, Video) else ", 'time: name' if the files are called by their time,"
         raise settings.error(f"the frames of {path} need rate_hz{name or ','} or a CSV file 'times' and its 'time'")
     return frames
+
+
+def _check_numbers(frames: Folder) -> None:
+    """Raises a MappingError if images are counted and one is missing, because those after it would come too early."""
+    found = [re.search(r"(\d+)\D*$", file.stem) for file in frames.files]
+    steps = [int(after[1]) - int(before[1]) for before, after in itertools.pairwise(found) if before and after]
+    if len(steps) == len(found) - 1 and min(steps, default=0) == 1 and max(steps) > 1:
+        row = next(row for row, step in enumerate(steps) if step > 1)
+        raise MappingError(
+            f"{frames.files[row]}: the next image is {frames.files[row + 1].name}; with rate_hz, no image may be "
+            "missing; name a CSV file 'times' and its 'time' instead"
+        )
 
 
 def _by_column(name: str, streams: dict[str, Stream], column: str) -> Iterator[Take]:
