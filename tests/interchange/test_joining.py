@@ -309,45 +309,57 @@ def test_parquet_files_are_refused_with(tmp_path, case):
     is_refused(tmp_path, words, **OF_ROWS)
 
 
-def test_values_of_a_lerobot_dataset_keep_the_order_of_their_axes(tmp_path, monkeypatch):
-    """With a stand-in for the package lerobot, which the other tests use."""
+@pytest.fixture
+def lerobot(monkeypatch) -> types.SimpleNamespace:
+    """A stand-in for the package lerobot, which other tests use. It has `times`, and the `root` that it was given."""
     shape = (4, 4, 3)
     features = {"action": ("float32", [1]), "pads": ("float32", list(shape)), "camera": ("video", [6, 8, 3])}
-    times = INDEX / 10
-
-    def values(row: int) -> dict[str, Any]:
-        picture = np.zeros((3, 6, 8), np.uint8)
-        picture[1] = 250
-        tensors = {"action": np.ones(1), "pads": np.arange(48.0).reshape(shape) + row, "camera": picture}
-        named = {name: types.SimpleNamespace(numpy=lambda value=value: value) for name, value in tensors.items()}
-        return named | {"timestamp": times[row]}
+    state = types.SimpleNamespace(times=INDEX / 10, root=None)
 
     class Dataset:
         fps = 10
 
-        def __init__(self, *_: Any, **__: Any):
+        def __init__(self, *_: Any, root: Path, **__: Any):
+            state.root = root
             episodes = [{"dataset_from_index": first, "dataset_to_index": first + 8} for first in (0, 8, 16)]
             kinds = {name: {"dtype": kind, "shape": size} for name, (kind, size) in features.items()}
             self.meta = types.SimpleNamespace(features=kinds, episodes=episodes)
 
         def __getitem__(self, row: int) -> dict[str, Any]:
-            return values(row)
+            assert (state.root / "meta/info.json").exists()
+            picture = np.zeros((3, 6, 8), np.uint8)
+            picture[1] = 250
+            tensors = {"action": np.ones(1), "pads": np.arange(48.0).reshape(shape) + row, "camera": picture}
+            named = {name: types.SimpleNamespace(numpy=lambda value=value: value) for name, value in tensors.items()}
+            return named | {"timestamp": state.times[row]}
 
     monkeypatch.setitem(sys.modules, "lerobot", types.ModuleType("lerobot"))
     monkeypatch.setitem(sys.modules, "lerobot.datasets", types.SimpleNamespace(LeRobotDataset=Dataset))
-    (tmp_path / "rec/meta").mkdir(parents=True)
-    (tmp_path / "rec/meta/info.json").write_text("{}")
-    keys = {"format": "lerobot", "modalities": {"setpoint": "action", "pads": "pads", "vision": "camera"}}
-    keys["sample_rate_hz"] = None
-    path = tmp_path / "lab.yaml"
-    path.write_text(json.dumps({"name": "lab", "source": "rec"} | {key: each for key, each in keys.items() if each}))
-    name = import_dataset(path, tmp_path / "results", progress=False)
-    first = pl.read_parquet(tmp_path / f"results/datasets/{name}/episode_00000.parquet")
+    return state
+
+
+def imported_lerobot(folder: Path) -> pl.DataFrame:
+    """Imports a dataset of the stand-in, and returns the first episode."""
+    (folder / "rec/meta").mkdir(parents=True, exist_ok=True)
+    (folder / "rec/meta/info.json").write_text("{}")
+    modalities = {"setpoint": "action", "pads": "pads", "vision": "camera"}
+    mapping = {"name": "lab", "source": "rec", "format": "lerobot", "modalities": modalities}
+    (folder / "lab.yaml").write_text(json.dumps(mapping))
+    name = import_dataset(folder / "lab.yaml", folder / "results", progress=False)
+    return pl.read_parquet((folder / f"results/datasets/{name}/episode_00000.parquet").read_bytes())
+
+
+def test_values_of_a_lerobot_dataset_keep_the_order_of_their_axes(tmp_path, lerobot):
+    first = imported_lerobot(tmp_path)
     assert first.select(pl.col("^pads_.*$")).row(0) == tuple(range(1, 49))
     assert (np.frombuffer(first["vision"][0], np.uint8).reshape(64, 64, 3) == [0, 250, 0]).all()
-    times = times + np.where(INDEX > 5, 0.31, 0)
+
+
+def test_a_gap_between_frames_of_a_lerobot_dataset_is_refused(tmp_path, lerobot):
+    lerobot.times = lerobot.times + np.where(INDEX > 5, 0.31, 0)
     with pytest.raises(ValueError, match="rec, episode 0: frame 6: comes 4.1 samples after the row before it at 10"):
-        import_dataset(path, tmp_path / "again", progress=False)
+        imported_lerobot(tmp_path)
+    assert not (tmp_path / "results").exists()
 
 
 # --- paths ---
@@ -419,6 +431,13 @@ def test_letters_of_a_path_stand_for_themselves(tmp_path, kind, monkeypatch):
             for episode in episodes:
                 assert episode["x_00"].to_list() == [7] * 5
                 assert kind != "csv" or abs(np.frombuffer(episode["vision"][0], np.uint8).mean() - 70) < 5
+
+
+def test_lerobot_gets_no_letters_that_it_takes_for_a_pattern(tmp_path, lerobot):
+    """Its libraries would read `rec 1` instead of `rec [1]`."""
+    assert len(imported_lerobot(tmp_path)) == 7 and lerobot.root == tmp_path / "rec"
+    assert len(imported_lerobot(tmp_path / SPECIAL)) == 7
+    assert not {*str(lerobot.root)} & {*"*?[]:"} and not lerobot.root.exists()
 
 
 def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness._paths import plain_path
 from harness.recorded import Episode, Layout, RecordedDataset, image_shapes, vector_columns
 
 try:
@@ -64,21 +65,24 @@ def write(source: RecordedDataset, episodes: Iterable[Episode], output: Path) ->
     # Both libraries would print messages for every episode next to the progress bar.
     datasets.disable_progress_bars()
     av.logging.set_libav_level(av.logging.ERROR)
-    dataset = LeRobotDataset.create(
-        repo_id=f"harness/{source.name}",
-        fps=int(source.sample_rate_hz),
-        features=_features(source.layout),
-        root=output,
-        robot_type="soft_finger" if source.is_finger else source.scenario,
-        # Sets the decoder, which is not used here. Without it, LeRobot searches for the fastest decoder and warns of
-        # missing ones.
-        video_backend="pyav",
-        rgb_encoder=RGBEncoderConfig(**VIDEO),
-    )
-    task = f"random motion, {source.scenario} scenario"
-    for episode in episodes:
-        _add(dataset, episode, task, source.layout)
-    dataset.finalize()
+    with plain_path(output.parent) as folder:
+        written = folder / "written"
+        dataset = LeRobotDataset.create(
+            repo_id=f"harness/{source.name}",
+            fps=int(source.sample_rate_hz),
+            features=_features(source.layout),
+            root=written,
+            robot_type="soft_finger" if source.is_finger else source.scenario,
+            # Sets the decoder, which is not used here. Without it, LeRobot searches for the fastest decoder and warns
+            # of missing ones.
+            video_backend="pyav",
+            rgb_encoder=RGBEncoderConfig(**VIDEO),
+        )
+        task = f"random motion, {source.scenario} scenario"
+        for episode in episodes:
+            _add(dataset, episode, task, source.layout)
+        dataset.finalize()
+        written.rename(output)
 
 
 def _features(layout: Layout) -> dict[str, dict[str, Any]]:

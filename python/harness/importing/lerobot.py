@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from harness._paths import plain_path
+
 from .alignment import wanted
 from .mapping import Columns, Mapping, MappingError
 from .recording import Recording
@@ -30,23 +32,27 @@ def open_lerobot(mapping: Mapping) -> Recording:
         ) from error
     if not (mapping.source / "meta/info.json").exists():
         raise MappingError(f"source: {mapping.source} is no LeRobot dataset: it has no meta/info.json")
+    # LeRobot reads the frames later, so the path must stay until the last episode.
+    kept = contextlib.ExitStack()
+    root = kept.enter_context(plain_path(mapping.source))
     with _blaming(mapping.source):
-        dataset = LeRobotDataset("local/source", root=mapping.source, video_backend="pyav", return_uint8=True)
+        dataset = LeRobotDataset("local/source", root=root, video_backend="pyav", return_uint8=True)
     columns = wanted(mapping.selections, list(dataset.meta.features))
 
     pictures = {name for name, feature in dataset.meta.features.items() if feature["dtype"] in ("image", "video")}
     places = [f"{mapping.source}, episode {index}" for index in range(len(dataset.meta.episodes))]
 
     def episodes() -> Iterator[Columns]:
-        for episode, place in zip(dataset.meta.episodes, places, strict=True):
-            rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
-            with _blaming(mapping.source):
-                items = [dataset[row] for row in rows]
-            times = np.array([float(item["timestamp"]) for item in items])
-            if problem := irregular(times, 1 / dataset.fps):
-                row, how = problem
-                raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
-            yield {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
+        with kept:
+            for episode, place in zip(dataset.meta.episodes, places, strict=True):
+                rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
+                with _blaming(mapping.source):
+                    items = [dataset[row] for row in rows]
+                times = np.array([float(item["timestamp"]) for item in items])
+                if problem := irregular(times, 1 / dataset.fps):
+                    row, how = problem
+                    raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
+                yield {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
 
     return Recording(float(dataset.fps), len(places), episodes(), places)
 
