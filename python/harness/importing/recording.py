@@ -91,15 +91,19 @@ def _checked(take: Take, first: Take | None, mapping: Mapping, sampling: Samplin
     if first:
         _check_equal(take, first, mapping)
         columns = first.columns
-    used = {column.partition(".")[0] for column in columns}
+    used = {_stream_of(column) for column in columns}
     return Take(
         take.name,
         {
-            name: checked(stream, sampling.streams[name], [each for each in columns if each in stream.columns])
+            name: checked(stream, sampling.streams[name], [each for each in columns if _stream_of(each) == name])
             for name, stream in take.streams.items()
             if name in used
         },
     )
+
+
+def _stream_of(column: str) -> str:
+    return column.partition(".")[0]
 
 
 def _check_equal(take: Take, first: Take, mapping: Mapping) -> None:
@@ -107,7 +111,7 @@ def _check_equal(take: Take, first: Take, mapping: Mapping) -> None:
     for selection in mapping.selections.values():
         found, expected = selection.columns(take.columns), selection.columns(first.columns)
         if sorted(found) != sorted(expected):
-            name = min({*found} ^ {*expected}).partition(".")[0]
+            name = _stream_of(min({*found} ^ {*expected}))
             raise selection.error(
                 f"{take.streams[name].place} has the columns {', '.join(found)}, and {first.streams[name].place} has "
                 f"{', '.join(expected)}; a modality has the same columns in all recordings"
