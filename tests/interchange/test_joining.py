@@ -313,7 +313,8 @@ def test_parquet_files_are_refused_with(tmp_path, case):
 def lerobot(monkeypatch) -> types.SimpleNamespace:
     """A stand-in for the package lerobot, which other tests use. It has `times`, and the `root` that it was given."""
     shape = (4, 4, 3)
-    features = {"action": ("float32", [1]), "pads": ("float32", list(shape)), "camera": ("video", [6, 8, 3])}
+    features = {"action": ("float32", [1]), "pads": ("float32", list(shape))}
+    features |= {"camera": ("video", [6, 8, 3]), "photo": ("image", [6, 8, 3])}
     state = types.SimpleNamespace(times=INDEX / 10, root=None)
 
     class Dataset:
@@ -330,6 +331,7 @@ def lerobot(monkeypatch) -> types.SimpleNamespace:
             picture = np.zeros((3, 6, 8), np.uint8)
             picture[1] = 250
             tensors = {"action": np.ones(1), "pads": np.arange(48.0).reshape(shape) + row, "camera": picture}
+            tensors["photo"] = (picture / 255).astype(np.float32)
             named = {name: types.SimpleNamespace(numpy=lambda value=value: value) for name, value in tensors.items()}
             return named | {"timestamp": state.times[row]}
 
@@ -342,7 +344,7 @@ def imported_lerobot(folder: Path) -> pl.DataFrame:
     """Imports a dataset of the stand-in, and returns the first episode."""
     (folder / "rec/meta").mkdir(parents=True, exist_ok=True)
     (folder / "rec/meta/info.json").write_text("{}")
-    modalities = {"setpoint": "action", "pads": "pads", "vision": "camera"}
+    modalities = {"setpoint": "action", "pads": "pads", "vision": "camera", "eye": {"from": "photo", "size": [6, 8]}}
     mapping = {"name": "lab", "source": "rec", "format": "lerobot", "modalities": modalities}
     (folder / "lab.yaml").write_text(json.dumps(mapping))
     name = import_dataset(folder / "lab.yaml", folder / "results", progress=False)
@@ -352,7 +354,8 @@ def imported_lerobot(folder: Path) -> pl.DataFrame:
 def test_values_of_a_lerobot_dataset_keep_the_order_of_their_axes(tmp_path, lerobot):
     first = imported_lerobot(tmp_path)
     assert first.select(pl.col("^pads_.*$")).row(0) == tuple(range(1, 49))
-    assert (np.frombuffer(first["vision"][0], np.uint8).reshape(64, 64, 3) == [0, 250, 0]).all()
+    for image in ("vision", "eye"):
+        assert (np.frombuffer(first[image][0], np.uint8).reshape(-1, 3) == [0, 250, 0]).all()
 
 
 def test_a_gap_between_frames_of_a_lerobot_dataset_is_refused(tmp_path, lerobot):
@@ -438,6 +441,35 @@ def test_lerobot_gets_no_letters_that_it_takes_for_a_pattern(tmp_path, lerobot):
     assert len(imported_lerobot(tmp_path)) == 7 and lerobot.root == tmp_path / "rec"
     assert len(imported_lerobot(tmp_path / SPECIAL)) == 7
     assert not {*str(lerobot.root)} & {*"*?[]:"} and not lerobot.root.exists()
+
+
+def test_lerobot_itself_reads_the_dataset_that_the_path_names(tmp_path):
+    pytest.importorskip("lerobot", reason="lerobot is not installed; it needs Python 3.12: make interchange")
+    from lerobot.datasets import LeRobotDataset
+
+    features = {
+        "action": {"dtype": "float32", "shape": (1,), "names": None},
+        "pads": {"dtype": "float32", "shape": (2, 4, 3), "names": None},
+        "camera": {"dtype": "image", "shape": (6, 8, 3), "names": ["height", "width", "channels"]},
+    }
+    pads, green = np.arange(24, dtype=np.float32).reshape(2, 4, 3), np.zeros((6, 8, 3), np.uint8)
+    green[..., 1] = 250
+    for name, value in (("rec [1]", 0), ("rec 1", 100)):
+        dataset = LeRobotDataset.create("local/made", 10, features, root=tmp_path / "made", use_videos=False)
+        for _ in range(3):
+            for _ in range(4):
+                frame = {"action": np.ones(1, np.float32), "pads": pads + value, "camera": green, "task": "none"}
+                dataset.add_frame(frame)
+            dataset.save_episode()
+        dataset.finalize()
+        (tmp_path / "made").rename(tmp_path / name)
+    mapping = {"name": "lab", "source": "rec [1]", "format": "lerobot"}
+    mapping["modalities"] = {"setpoint": "action", "pads": "pads", "vision": "camera"}
+    (tmp_path / "lab.yaml").write_text(json.dumps(mapping))
+    name = import_dataset(tmp_path / "lab.yaml", tmp_path / "results", progress=False)
+    first = pl.read_parquet(tmp_path / f"results/datasets/{name}/episode_00000.parquet")
+    assert first.select(pl.col("^pads_.*$")).row(0) == tuple(range(24))
+    assert (np.frombuffer(first["vision"][0], np.uint8).reshape(-1, 3) == [0, 250, 0]).all()
 
 
 def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):

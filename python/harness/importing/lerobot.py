@@ -67,6 +67,10 @@ def _blaming(source: Path) -> Iterator[None]:
 
 
 def _plain(value: Any, is_picture: bool) -> np.ndarray:
-    """Returns a tensor as an array. The channels of a picture become its last axis."""
+    """Returns a tensor as an array. The channels of a picture become its last axis, and its values are 0 to 255."""
     array: np.ndarray = value.numpy()
-    return array.transpose(1, 2, 0) if is_picture else array
+    if not is_picture:
+        return array
+    # The pixels of image files are divided by 255, and those of videos are not.
+    array = np.rint(array * 255).astype(np.uint8) if array.dtype.kind == "f" else array
+    return array.transpose(1, 2, 0)
