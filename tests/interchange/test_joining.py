@@ -491,6 +491,8 @@ def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):
         ("time,cmd,a_1\n0,1,2\n", "rec/t1.csv, from 0 s: episode 1: it has 1 sample; it must have 2 or more"),
         ("time,cmd,a_1\n0,1\n0.1,1,3\n", "rec/t1.csv: line 2: has 2 values, and the header 3$"),
         ("time,cmd,a_1\n\n0,1,2\n0.1,1,3\n", "rec/t1.csv: line 2: has 0 values, and the header 3$"),
+        ('time,cmd,a_1,label\n0,1,2,"a\nb"\n0.1,1,3,"c\n0.2,1,3,d\n', "t1.csv: line 4: a quotation mark is not closed"),
+        ("time,cmd,a_1\n0,1,2\n0.1,1,3,4\n", "rec/t1.csv: line 3: has 4 values, and the header 3$"),
         ("0,1,2\n0.1,1,3\n", "rec/t1.csv: there is no column 'time'; the columns are 0, 1, 2"),
         ("time,cmd,b_1\n0,1,2\n0.1,1,2\n", "rec/t1.csv: modalities.a: there is no column 's.a_1'; the columns are"),
         ("time,cmd,a_1\n0,1,NA\n0.1,1,2\n", "rec/t1.csv: line 2: 'a_1' is 'NA', which is no number; leave a missing"),

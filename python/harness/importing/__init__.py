@@ -21,7 +21,7 @@ defines which columns of the recording make up which modality:
       wrist: {from: observation.images.wrist, size: [96, 96]}     # or a new image, with its rows and columns
     # These keys are required with `format: parquet`, and not allowed otherwise.
     episode: episode                # the column whose value differs between episodes
-    order: sample                   # the column by which an episode's rows are sorted
+    order: sample                   # the column by which an episode's rows are sorted: a counter, or a time
     sample_rate_hz: 10              # samples per second
 
 The formats csv, hdf5, zarr, matlab and ros2 have streams with times of their own, which are aligned to one rate:

@@ -250,16 +250,19 @@ class Table:
 
     def _why(self, error: Exception) -> str:
         """Returns what is wrong with a file that polars can't read, with the line."""
+        line = self.first_line
         try:
             with open(self.path, encoding="utf-8", newline="") as file:
                 for _ in range(self.first_line - 1):
                     file.readline()
-                reader = csv.reader(file, delimiter=self.separator)
+                reader = csv.reader(file, delimiter=self.separator, strict=True)
                 for row, values in enumerate(reader):
                     if len(values) > len(self.names) or (row == 0 and len(values) < len(self.names)):
-                        line = self.first_line - 1 + reader.line_num
                         return f"{self.path}: line {line}: has {len(values)} values, and the header {len(self.names)}"
-        except (ValueError, csv.Error):
+                    line = self.first_line + reader.line_num
+        except csv.Error:
+            return f"{self.path}: line {line}: a quotation mark is not closed, or a text goes on after it"
+        except ValueError:
             pass
         return f"{self.path}: can't be read: {' '.join(str(error).split())}"
 
