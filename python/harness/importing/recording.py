@@ -88,7 +88,7 @@ def _checked(take: Take, first: Take | None, mapping: Mapping, sampling: Samplin
         columns = wanted(mapping.selections, take.columns)
     except MappingError as error:
         raise MappingError(f"{take.name}: {error}") from None
-    if first:
+    if first and columns != first.columns:
         _check_equal(take, first, mapping)
         columns = first.columns
     used = {_stream_of(column) for column in columns}
