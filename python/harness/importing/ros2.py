@@ -163,14 +163,14 @@ class BagStream(Stream):
         """Reads the times of a topic. `terms` are those of the mapping, and `first_bag` is the first bag's stream."""
         topic = settings.where["topic"]
         self.place, self._bag = f"{bag.path}: {topic}", bag
+        self._names: Any = first_bag._names if first_bag else None
+        """The names of the elements in the first message of the first bag."""
+        self._named_by: str = first_bag._named_by if first_bag else self.place
         self._connection = bag.connection(topic, f"streams.{settings.name}.topic")
         self._prefix = f"{settings.name}."
         which = settings.where.get("time", "header")
         if which not in ("header", "received"):
             raise settings.error(f"time: must be header or received, not '{which}'")
-        self._names: Any = first_bag._names if first_bag else None
-        """The names of the elements in the first message of the first bag."""
-        self._named_by: str = first_bag._named_by if first_bag else self.place
         received, stamps = [], []
         first = None
         joints: dict[str, None] = {}
