@@ -23,7 +23,7 @@ from PIL import Image
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from harness.importing import import_dataset
+from harness.importing import import_dataset, ros2
 
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 TENTH = 10**8
@@ -528,3 +528,12 @@ def test_a_counted_image_that_is_missing_is_refused_with_a_rate(tmp_path):
     (tmp_path / "rec/t1/camera/frame_10_left.png").unlink()
     words = "t1/camera/frame_9_left.png: the next image is frame_11_left.png; with rate_hz, no image may be missing"
     is_refused(tmp_path, words, **keys)
+
+
+def test_a_bag_is_closed_before_its_messages_are_all_read(tmp_path):
+    """As after an error. Otherwise, its database is locked, and Python prints a traceback."""
+    write_bag(tmp_path / "bag", [command(row) for row in range(20)])
+    with ros2.opened(tmp_path / "bag") as bag:
+        messages = bag.messages(bag.connection("/command", "streams.c.topic"))
+        assert next(messages)[1].data == 0
+    assert list(messages) == []

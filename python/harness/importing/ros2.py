@@ -83,6 +83,12 @@ class Bag:
 
     def __init__(self, path: Path, reader: Any):
         self.path, self._reader = path, reader
+        self._begun: list[Any] = []
+
+    def close(self) -> None:
+        """Ends what is still being read. Otherwise, the bag's database could not be closed."""
+        for messages in self._begun:
+            messages.close()
 
     @property
     def connections(self) -> list[Any]:
@@ -109,11 +115,13 @@ class Bag:
         same = [each for each in self.connections if each.topic == connection.topic]
         with blaming(f"{self.path}: {connection.topic}"):
             messages = self._reader.messages(same, start=start, stop=stop)
+            self._begun.append(messages)
         index = 0
         while True:
             with blaming(f"{self.path}: {connection.topic}: message {index}"):
                 found = next(messages, None)
             if found is None:
+                self._begun.remove(messages)
                 return
             yield found[1], found[2]
             index += 1
@@ -143,7 +151,9 @@ def opened(path: Path) -> Iterator[Bag]:
         with blaming(str(path)):
             types = get_typestore(Stores.ROS2_HUMBLE)
             reader = stack.enter_context(AnyReader([_BagPath(path)], default_typestore=types))
-        yield Bag(path, reader)
+        bag = Bag(path, reader)
+        stack.callback(bag.close)
+        yield bag
 
 
 class _BagPath(PosixPath):
