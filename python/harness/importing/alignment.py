@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from .mapping import Columns, Mapping, MappingError, Sampling, Selection, StreamSettings
+from .pictures import decoded
 from .streams import Stream, Take, seconds
 
 TOLERANCE_NS = 1000
@@ -222,10 +221,9 @@ def _decoded(picture: Any, stream: Stream, row: int) -> np.ndarray:
     if isinstance(picture, np.ndarray):
         return picture
     try:
-        return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
-    # Pillow raises many kinds of errors for a damaged file.
-    except Exception as error:
-        raise MappingError(f"{stream.at(row)}: is no picture, or damaged: {error}") from None
+        return decoded(picture)
+    except ValueError as error:
+        raise MappingError(f"{stream.at(row)}: {error}") from None
 
 
 def _aligned(stream: Stream, column: str, span: Span, sampling: Sampling, how: str) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -13,6 +12,7 @@ from PIL import Image
 from harness.recorded import Episode
 
 from .mapping import Columns, Mapping, MappingError, Selection
+from .pictures import decoded, is_file
 
 SHARE_FRAMES = 100
 """After how many frames the progress is told."""
@@ -77,14 +77,21 @@ def _frame(picture: Any, selection: Selection, shape: tuple[int, int, int]) -> n
     """Returns a picture as RGB pixels of this shape. It may be an array, raw bytes, or the bytes of an image file."""
     if isinstance(picture, dict):
         picture = picture.get("bytes")
-    if isinstance(picture, bytes) and len(picture) == np.prod(shape):
-        return np.frombuffer(picture, np.uint8).reshape(shape)
+    if isinstance(picture, bytes):
+        if len(picture) == np.prod(shape) and not is_file(picture):
+            return np.frombuffer(picture, np.uint8).reshape(shape)
+        try:
+            picture = decoded(picture)
+        except ValueError as error:
+            raise selection.error(f"a value {error}") from None
+    if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8:
+        kind = picture.dtype if isinstance(picture, np.ndarray) else type(picture).__name__
+        raise selection.error(f"a value is no picture but {kind}; a picture is uint8, or the bytes of an image file")
     try:
-        image = Image.open(io.BytesIO(picture)) if isinstance(picture, bytes) else Image.fromarray(picture)
-        height, width, _ = shape
-        if image.size == (width, height):
-            return np.asarray(image.convert("RGB"))
-        # Each new pixel is the mean of the pixels that it covers.
-        return np.asarray(image.convert("RGB").resize((width, height), Image.Resampling.BOX))
-    except (OSError, TypeError, ValueError, AttributeError) as error:
+        image = Image.fromarray(picture).convert("RGB")
+    except (TypeError, ValueError) as error:
         raise selection.error(f"a value is no picture: {error}") from None
+    height, width, _ = shape
+    # Each new pixel is the mean of the pixels that it covers.
+    is_whole = image.size == (width, height)
+    return np.asarray(image if is_whole else image.resize((width, height), Image.Resampling.BOX))

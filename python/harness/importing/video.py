@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -13,6 +14,8 @@ from .mapping import MappingError
 from .streams import Stream, blaming, nanoseconds, natural, needing
 
 VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm")
+TIME = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+"""What an image is called whose name is its time."""
 IMAGES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
 
@@ -35,13 +38,11 @@ class Folder(Stream):
         """Returns the times by which the files are called, int64 [rows], ns.
 
         Raises:
-            MappingError: a name is no number.
+            MappingError: a name is no number. Python's `float` would also take 1_5.
         """
         for file in self.files:
-            try:
-                float(file.stem)
-            except ValueError:
-                raise MappingError(f"{file}: the file is not called by a time") from None
+            if not TIME.fullmatch(file.stem):
+                raise MappingError(f"{file}: the file is not called by a time")
         whole = all(file.stem.isdecimal() for file in self.files)
         values = [int(file.stem) if whole else float(file.stem) for file in self.files]
         # In the order of the names, 0.25 comes before 0.5, but -1 after 0.
@@ -100,9 +101,21 @@ class Video(Stream):
             yield self._array(row)
 
     def _array(self, row: int) -> np.ndarray:
+        components = self._picture.format.components
+        if len(components) == 1 and components[0].bits > 8:
+            raise MappingError(
+                f"{self.at(row)}: has pixels of the kind {self._picture.format.name}; a picture has 8 bits per channel; "
+                "convert the video before the import, depths with a fixed range, so that 0 and 255 mean the same in all"
+            )
         with blaming(self.at(row)):
             array: np.ndarray = self._picture.to_ndarray(format="rgb24")
-            return array
+        turns, rest = divmod(self._picture.rotation, 90)
+        if rest:
+            raise MappingError(
+                f"{self.at(row)}: is shown turned by {self._picture.rotation} degrees; turn it by quarters"
+            )
+        # As players show it.
+        return np.rot90(array, turns)
 
     def _decoded(self) -> Iterator[tuple[int, Any]]:
         decoded = 0

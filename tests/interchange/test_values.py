@@ -1,0 +1,184 @@
+"""Values that could be changed without a word on their way into a dataset: each is kept, or refused with its place."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import polars as pl
+import pytest
+from PIL import Image
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from harness.importing import import_dataset
+
+ROWS = 4
+GRADIENT = np.arange(64, dtype=np.uint8).reshape(8, 8) * 4
+
+
+def imported(folder: Path, **keys: Any) -> Path:
+    """Writes a mapping, imports it, and returns the dataset's folder."""
+    path, results = folder / "lab.yaml", folder / "results"
+    defaults = {"name": "lab", "source": "rec", "sample_rate_hz": 10, "max_gap_s": 0.5}
+    path.write_text(json.dumps(defaults | keys))
+    return results / "datasets" / import_dataset(path, results, progress=False)
+
+
+def column(dataset: Path, name: str) -> list[Any]:
+    return pl.read_parquet(dataset / "episode_00000.parquet")[name].to_list()
+
+
+def frame(dataset: Path) -> np.ndarray:
+    """The first image, 8 x 8 pixels."""
+    return np.frombuffer(column(dataset, "eye")[0], np.uint8).reshape(8, 8, 3)
+
+
+EYE = {"from": "eye", "size": [8, 8]}
+
+
+def of_images(folder: Path, save: Callable[[Path], Any]) -> Path:
+    """Imports folders of images that a function saves."""
+    for trial in range(3):
+        place = folder / f"rec/{trial}"
+        (place / "eye").mkdir(parents=True)
+        (place / "log.csv").write_text("t,u\n" + "".join(f"{row / 10},{row}\n" for row in range(ROWS)))
+        for row in range(ROWS):
+            save(place / "eye" / f"{row / 10}")
+    streams = {"log": {"file": "*/log.csv", "time": "t"}, "eye": {"file": "*/eye", "time": "name"}}
+    return imported(folder, format="csv", streams=streams, modalities={"setpoint": "log.u", "eye": EYE})
+
+
+def saved(pixels: np.ndarray | Image.Image, ending: str = ".png", **options: Any) -> Callable[[Path], None]:
+    image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
+    return lambda path: image.save(f"{path}{ending}", **options)
+
+
+def turned(orientation: int) -> Image.Exif:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    return exif
+
+
+def rgb16(path: Path) -> None:
+    """A PNG of 16 bits per color, which Pillow reads, but does not write."""
+    with av.open(f"{path}.png", "w", format="image2", options={"update": "1"}) as container:
+        stream = container.add_stream("png", rate=1)
+        stream.width = stream.height = 8
+        stream.pix_fmt = "rgb48be"
+        pixels = np.full((8, 8, 3), 1000, np.uint16)
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb48be")))
+        container.mux(stream.encode())
+
+
+DEPTH = GRADIENT.astype(np.uint16) * 16
+GRAY = Image.fromarray(GRADIENT)
+DEEP: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "16 bits": (saved(DEPTH), "I;16"),
+    "16 bits, TIFF": (saved(DEPTH, ".tif"), "I;16"),
+    "16 bits per color": (rgb16, "RGB with 16 bits"),
+    "32 bits": (saved(DEPTH.astype(np.int32), ".tif"), "I"),
+    "floats": (saved(DEPTH.astype(np.float32), ".tif"), "F"),
+    "CMYK": (saved(GRAY.convert("CMYK"), ".jpg"), "CMYK"),
+}
+
+
+@pytest.mark.parametrize("kind", DEEP)
+def test_pictures_that_would_lose_values_are_refused(tmp_path, kind):
+    save, mode = DEEP[kind]
+    with pytest.raises(
+        ValueError, match=rf"rec/0/eye/0.0.\w+: has pixels of the kind {mode}; a picture has 8 bits per"
+    ):
+        of_images(tmp_path, save)
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_file_of_several_pictures_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="rec/0/eye/0.0.tif: holds 2 pictures; save each as a file of its own"):
+        of_images(tmp_path, saved(GRAY, ".tif", save_all=True, append_images=[GRAY]))
+
+
+@pytest.mark.parametrize(
+    ("save", "expected"),
+    [
+        (saved(GRADIENT), GRADIENT),
+        (saved(GRAY.convert("P")), GRADIENT),
+        (saved(Image.merge("LA", [GRAY, GRAY])), GRADIENT),
+        (saved(Image.merge("RGBA", [GRAY] * 4)), GRADIENT),
+        (saved(GRAY.convert("1")), np.asarray(GRAY.convert("1")) * np.uint8(255)),
+        (saved(GRADIENT, exif=turned(6)), np.rot90(GRADIENT, -1)),
+        (saved(GRADIENT, exif=turned(3)), np.rot90(GRADIENT, 2)),
+    ],
+    ids=["gray", "palette", "gray and alpha", "alpha", "bits", "turned right", "upside down"],
+)
+def test_pictures_are_imported_as_viewers_show_them(tmp_path, save, expected):
+    np.testing.assert_array_equal(frame(of_images(tmp_path, save)), np.repeat(expected[..., None], 3, axis=2))
+
+
+def video(path: Path, array: np.ndarray, format: str, codec: str) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10)
+        stream.height, stream.width = array.shape[:2]
+        stream.pix_fmt = format
+        for _ in range(ROWS):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(array, format=format)))
+        container.mux(stream.encode())
+
+
+def of_videos(folder: Path, write: Callable[[Path], Any], ending: str) -> Path:
+    for trial in range(3):
+        place = folder / f"rec/{trial}"
+        place.mkdir(parents=True)
+        (place / "log.csv").write_text("t,u\n" + "".join(f"{row / 10},{row}\n" for row in range(ROWS)))
+        write(place / f"eye{ending}")
+    streams = {"log": {"file": "*/log.csv", "time": "t"}, "eye": {"file": f"*/eye{ending}"}}
+    return imported(folder, format="csv", streams=streams, modalities={"setpoint": "log.u", "eye": EYE})
+
+
+def test_a_video_of_depths_is_refused(tmp_path):
+    depth = np.full((48, 64), 4000, np.uint16)
+    with pytest.raises(
+        ValueError, match="rec/0/eye.mkv: frame 0, at 0.000 s: has pixels of the kind gray16le; a picture"
+    ):
+        of_videos(tmp_path, lambda path: video(path, depth, "gray16le", "ffv1"), ".mkv")
+
+
+def test_a_video_is_turned_as_players_show_it(tmp_path):
+    halves = np.zeros((64, 64, 3), np.uint8)
+    halves[:32] = 250
+
+    def write(path: Path) -> None:
+        video(path, halves, "rgb24", "libx264rgb")
+        data, one, none = path.read_bytes(), (1 << 16).to_bytes(4), bytes(4)
+        last = (1 << 30).to_bytes(4)
+        plain = one + none * 3 + one + none * 3 + last
+        start = data.rindex(plain)
+        # The matrix of a quarter turn to the right, as phones write it.
+        quarter = none + one + none + b"\xff\xff\x00\x00" + none * 2 + (64 << 16).to_bytes(4) + none + last
+        path.write_bytes(data[:start] + quarter + data[start + len(plain) :])
+
+    shown = frame(of_videos(tmp_path, write, ".mp4")).astype(int).mean(axis=2)
+    assert (shown[:, 4:] > 200).all() and (shown[:, :4] < 50).all(), shown
+
+
+def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, buffer = store.types, io.BytesIO()
+    Image.fromarray(DEPTH).save(buffer, "PNG")
+    kind, number = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/Float64"
+    with Writer(tmp_path / "rec", version=9) as writer:
+        eye = writer.add_connection("/eye", kind, typestore=store)
+        command = writer.add_connection("/command", number, typestore=store)
+        for row in range(ROWS):
+            at = 10**18 + row * 10**8
+            stamp = types["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
+            head = types["std_msgs/msg/Header"](stamp, "")
+            picture = types[kind](head, "16UC1; png compressed ", np.frombuffer(buffer.getvalue(), np.uint8))
+            writer.write(eye, at, store.serialize_cdr(picture, kind))
+            writer.write(command, at, store.serialize_cdr(types[number](float(row)), number))
+    streams = {"eye": {"topic": "/eye"}, "command": {"topic": "/command"}}
+    with pytest.raises(ValueError, match="rec: /eye: message 0, .*: has pixels of the kind I;16; a picture has 8 bits"):
+        imported(tmp_path, format="ros2", streams=streams, modalities={"setpoint": "command", "eye": EYE})
