@@ -1,5 +1,6 @@
 """Values that could be changed without a word on their way into a dataset: each is kept, or refused with its place."""
 
+import functools
 import io
 import json
 from collections.abc import Callable
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import h5py
 import numpy as np
 import polars as pl
 import pytest
@@ -182,3 +184,61 @@ def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path):
     streams = {"eye": {"topic": "/eye"}, "command": {"topic": "/command"}}
     with pytest.raises(ValueError, match="rec: /eye: message 0, .*: has pixels of the kind I;16; a picture has 8 bits"):
         imported(tmp_path, format="ros2", streams=streams, modalities={"setpoint": "command", "eye": EYE})
+
+
+# --- HDF5 ---
+
+
+def of_hdf5(folder: Path, write: Callable[[h5py.File], Any], data: str = "x", **stream: Any) -> Path:
+    (folder / "rec").mkdir(exist_ok=True)
+    for trial in range(3):
+        with h5py.File(folder / f"rec/{trial}.h5", "w") as file:
+            file["u"], file["t"] = np.zeros(ROWS), np.arange(ROWS) / 10
+            write(file)
+    clock = {"time": "t"} | stream
+    streams = {"u": {"data": "u"} | clock, "x": {"data": data} | clock}
+    return imported(folder, format="hdf5", streams=streams, modalities={"setpoint": "u", "x": "x"})
+
+
+@pytest.mark.parametrize(
+    "data", ["joints/q", "alias/q", "soft", "outside", "hard/q", "a_hard_group/q", "joints/whole/soft"]
+)
+def test_data_is_found_by_every_link(tmp_path, data):
+    def write(file: h5py.File) -> None:
+        file["joints/q"] = np.arange(ROWS) * 2.0
+        file["alias"], file["soft"] = h5py.SoftLink("/joints"), h5py.SoftLink("/joints/q")
+        file["outside"] = h5py.ExternalLink("../other.h5", "/q")
+        file["hard/q"], file["a_hard_group"] = file["joints/q"], file["joints"]
+        file["joints/whole"], file["gone"] = h5py.SoftLink("/"), h5py.SoftLink("/nowhere")
+
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["q"] = np.arange(ROWS) * 2.0
+    if data == "joints/whole/soft":
+        # A group that links to the one around it is not followed forever.
+        with pytest.raises(ValueError, match="there is no 'joints/whole/soft' for streams.x.data; the arrays are"):
+            of_hdf5(tmp_path, write, data)
+    else:
+        assert column(of_hdf5(tmp_path, write, data), "x_00") == [0, 2, 4, 6]
+
+
+def test_packed_numbers_are_refused_and_missing_ones_are_no_values(tmp_path):
+    def write(file: h5py.File, **attributes: Any) -> None:
+        file["x"] = np.array([5, 6, -9999, 8], np.int16)
+        file["x"].attrs.update(attributes)
+
+    for name, value in (("scale_factor", 0.01), ("add_offset", np.array([3.0]))):
+        words = f"rec/0.h5: x: 'x' has the attribute {name}, so that its numbers are not its values"
+        with pytest.raises(ValueError, match=words):
+            of_hdf5(tmp_path, functools.partial(write, **{name: value}))
+    whole = functools.partial(write, scale_factor=1.0, _FillValue=np.array([-9999], np.int16))
+    with pytest.raises(
+        ValueError, match="rec/0.h5: x: row 2: 'x' is nan; it must be a finite number; to leave out rows"
+    ):
+        of_hdf5(tmp_path, whole)
+    assert column(of_hdf5(tmp_path, whole, missing="skip"), "x_00") == [5, 6, 6, 8]
+
+
+@pytest.mark.parametrize("type", [">f8", ">f4", ">i2", "u8", "f2", "?"])
+def test_numbers_of_a_type_are_read_as_they_are(tmp_path, type):
+    values = np.array([0, 1, 0, 1]).astype(type)
+    assert column(of_hdf5(tmp_path, lambda file: file.create_dataset("x", data=values)), "x_00") == [0, 1, 0, 1]

@@ -15,6 +15,10 @@ from .streams import Stream, Take, blaming, changes, divided, nanoseconds, natur
 
 Arrays = dict[str, Any]
 """Arrays by their path in a file, such as `observations/qpos`. Each has a shape, a dtype, and slices that are read."""
+PACKING = {"scale_factor": 1, "add_offset": 0}
+"""Attributes by which netCDF, which is HDF5, changes the stored numbers, with their values that change nothing."""
+MISSING = "_FillValue"
+"""The attribute with the number that netCDF stores where there is no value."""
 BLOCK_BYTES = 2**25
 """How much of an array of pictures is read at once."""
 
@@ -158,8 +162,18 @@ class ArrayStream(Stream):
         array = self._arrays[column]
         if np.dtype(array.dtype).kind not in "iufb":
             raise MappingError(f"{self.place}: '{column}' holds no numbers, but {array.dtype}")
+        attributes = getattr(array, "attrs", {})
+        packed = [name for name, none in PACKING.items() if np.any(np.asarray(attributes.get(name, none)) != none)]
+        if packed:
+            raise MappingError(
+                f"{self.place}: '{column}' has the attribute {packed[0]}, so that its numbers are not its values; write "
+                "the values to a file first, for example with xarray"
+            )
         with blaming(f"{self.place}: '{column}', rows {first} to {last - 1}"):
-            return np.asarray(array[first:last], np.float64)
+            numbers = np.asarray(array[first:last])
+        missing = np.asarray(attributes.get(MISSING, np.nan))
+        is_missing = numbers == missing if missing.dtype.kind in "iuf" else False
+        return np.where(is_missing, np.nan, numbers.astype(np.float64))
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         array = self._arrays[column]

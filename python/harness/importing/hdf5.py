@@ -32,12 +32,32 @@ def opened(path: Path) -> Iterator[Arrays]:
     with blaming(str(path)):
         file = h5py.File(path, "r")
     with file:
-        found: Arrays = {}
-
-        def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and item.shape is not None:
-                found[name] = item
-
         with blaming(str(path)):
-            file.visititems(visit)
+            found = {name: item for name, item in _datasets(file) if item.shape is not None}
         yield {name: found[name] for name in sorted(found, key=lambda name: natural(Path(name)))}
+
+
+def members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Yields the groups and datasets in a group by their names, also those of other places and files, to which links
+    lead. Links to nowhere are left out."""
+    import h5py
+
+    for name in group:
+        try:
+            item = group[name]
+        except (KeyError, OSError):
+            if isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise
+            continue
+        if isinstance(item, h5py.Group | h5py.Dataset):
+            yield name, item
+
+
+def _datasets(group: Any, prefix: str = "", above: tuple[Any, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Yields the datasets in a group and below it with their paths. Does not follow links to groups above them."""
+    above = (*above, group)
+    for name, item in members(group):
+        if not hasattr(item, "keys"):
+            yield f"{prefix}{name}", item
+        elif item not in above:
+            yield from _datasets(item, f"{prefix}{name}/", above)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import Arrays, takes_of
+from .hdf5 import members
 from .mapping import Mapping
 from .streams import Take, blaming, needing, sources
 
@@ -78,7 +79,7 @@ def _of_scipy(place: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
 
 def _of_hdf5(file: Any, prefix: str, group: Any, h5py: Any) -> Iterator[tuple[str, Any]]:
     """Yields the arrays of numbers in a group of a file of MATLAB 7.3, whose axes are in the opposite order."""
-    for name, item in group.items():
+    for name, item in members(group):
         place = f"{prefix}{name}"
         if name.startswith("#"):
             continue

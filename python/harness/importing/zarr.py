@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,6 +34,9 @@ def opened(path: Path) -> Iterator[Arrays]:
         from zarr.storage import ZipStore
     with contextlib.ExitStack() as stack:
         with blaming(str(path)):
+            if path.is_file():
+                # A store that can't be opened can't be closed either.
+                zipfile.ZipFile(path).close()
             store = stack.enter_context(ZipStore(path, mode="r")) if path.is_file() else path
             root = zarr.open(store, mode="r")
             if not isinstance(root, zarr.Group):
