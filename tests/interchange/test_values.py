@@ -242,3 +242,35 @@ def test_packed_numbers_are_refused_and_missing_ones_are_no_values(tmp_path):
 def test_numbers_of_a_type_are_read_as_they_are(tmp_path, type):
     values = np.array([0, 1, 0, 1]).astype(type)
     assert column(of_hdf5(tmp_path, lambda file: file.create_dataset("x", data=values)), "x_00") == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("type", "start", "unit", "words"),
+    [
+        (
+            "f4",
+            1.7e9,
+            "s",
+            "row 0: 17000+.0 is float32, in which times so large are 128 s apart; store them as float64 or",
+        ),
+        ("f4", 1.7e18, "ns", "row 0: 1.7\\d+e.18 is float32, in which times so large are 137 s apart"),
+        ("f2", 100, "s", "row 3: 100.\\d+ is float16, in which times so large are 0.0625 s apart"),
+        ("f4", 100, "s", None),
+        ("f8", 1.7e9, "s", None),
+        ("f8", 1.7e18, "ns", None),
+        (">f8", 1.7e9, "s", None),
+        (">i8", 1_700_000_000_000, "ms", None),
+    ],
+)
+def test_times_that_their_type_rounds_are_refused(tmp_path, type, start, unit, words):
+    step = {"s": 0.1, "ms": 100, "ns": 1e8}[unit]
+
+    def write(file: h5py.File) -> None:
+        file["clock"] = (start + np.arange(ROWS) * step).astype(type)
+        file["x"] = np.arange(ROWS) * 1.0
+
+    if words is None:
+        assert len(column(of_hdf5(tmp_path, write, time="clock", time_unit=unit), "x_00")) >= ROWS - 1
+    else:
+        with pytest.raises(ValueError, match=rf"rec/0.h5: clock: {words}"):
+            of_hdf5(tmp_path, write, time="clock", time_unit=unit)

@@ -16,6 +16,8 @@ from .mapping import Mapping, MappingError, StreamSettings
 
 LIMIT_NS = 2**62
 """The largest time, ns. It is 146 years."""
+RESOLUTION_S = 1e-3
+"""How far apart two times may be that their type can just tell from each other, s."""
 CHUNK_ROWS = 65536
 """How many rows are read at once where a whole stream is searched."""
 
@@ -100,7 +102,8 @@ def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
         at: returns the place of a row.
 
     Raises:
-        MappingError: one is not a finite number, or larger than a time can be.
+        MappingError: one is not a finite number, or larger than a time can be, or they are floats that can't tell times
+            a millisecond apart.
     """
     with np.errstate(invalid="ignore"):
         wrong = ~(np.abs(values.astype(np.float64)) <= LIMIT_NS / unit)
@@ -112,6 +115,14 @@ def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
         )
     if values.dtype.kind in "iub":
         return values.astype(np.int64) * unit
+    if len(values):
+        latest = int(np.argmax(np.abs(values)))
+        step_s = float(np.spacing(np.abs(values[latest]))) * unit / 1e9
+        if step_s > RESOLUTION_S:
+            raise MappingError(
+                f"{at(latest)}: {values[latest]} is {values.dtype}, in which times so large are {step_s:.3g} s apart; "
+                "store them as float64 or integers, or relative to the start"
+            )
     return np.rint(values.astype(np.float64) * unit).astype(np.int64)
 
 
