@@ -6,7 +6,7 @@ import io
 import re
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
 """Pillow's names of the kinds of pixels that have at most 8 bits per channel and become RGB without a choice."""
@@ -28,6 +28,8 @@ def decoded(data: bytes) -> np.ndarray:
             is_several = count > 1 and image.format not in ("JPEG", "MPO")
             if mode in MODES and not deep and not is_several:
                 return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except UnidentifiedImageError:
+        raise ValueError("is no picture, or damaged: it does not begin as any image file does") from None
     # Pillow raises many kinds of errors for a damaged file.
     except Exception as error:
         raise ValueError(f"is no picture, or damaged: {error}") from None
