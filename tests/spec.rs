@@ -11,6 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::path::Path;
 
+#[path = "spec/mappings.rs"]
+mod mappings;
 #[path = "spec/search.rs"]
 mod search;
 

@@ -13,7 +13,7 @@ use harness::numbers::{Natural, duration};
 use harness::registry::{Registry, RegistryError, RunFolder, RunRecord, quoted, tags_of};
 use harness::schema::{Column, Table, sample_columns};
 use harness::simulation::Scene;
-use harness::spec::{Scenario, World};
+use harness::spec::{Scenario, World, mapping_schema};
 use polars::prelude::{AnyValue, Column as Values, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -319,6 +319,9 @@ fn row(registry: &Registry, record: &RunRecord) -> Result<Vec<(String, String)>>
 
 #[derive(Args)]
 pub struct Schema {
+    /// Print the JSON schema of mappings instead, which `harness import` reads
+    #[arg(long, conflicts_with_all = ["tables", "world"])]
+    mapping: bool,
     /// Print the columns of the tables instead. Those of `episodes` are the columns of the datasets in the results
     /// folder
     #[arg(long)]
@@ -332,7 +335,8 @@ impl Schema {
     /// Prints the schema.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         if !self.tables {
-            println!("{}", serde_json::to_string_pretty(&harness::spec::schema())?);
+            let schema = if self.mapping { mapping_schema() } else { harness::spec::schema() };
+            println!("{}", serde_json::to_string_pretty(&schema)?);
             return Ok(ExitCode::from(DONE));
         }
         let (of_episodes, whose) = self.episodes(registry)?;

@@ -237,9 +237,10 @@ process left it. Imported datasets are never removed.")]
     Gc(removal::Gc),
     /// Show the disk space of each experiment and each dataset
     Du,
-    /// Print the JSON schema of specs, or the columns of the tables
+    /// Print the JSON schema of specs or mappings, or the columns of the tables
     #[command(after_help = "Examples:
   harness schema > schema.json
+  harness schema --mapping > mapping.schema.json
   harness schema --tables
   harness schema --tables --world robots/gripper.yaml
 

@@ -11,6 +11,7 @@ mod cells;
 mod error;
 mod factor;
 mod hints;
+mod mapping;
 mod narrow;
 mod origin;
 mod overrides;
@@ -33,6 +34,7 @@ pub use harness_layout::{
     Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings, Segmentation, intern,
     is_name,
 };
+pub use mapping::{mapping_schema, read_mapping};
 pub use origin::{Origin, Scenario};
 pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};
 pub use schema::{schema, setting_names, varied_setting};

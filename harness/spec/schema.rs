@@ -363,6 +363,7 @@ mod tests {
             }
         }
         visit(&SCHEMA);
+        visit(&crate::mapping_schema());
     }
 
     /// `expected` has words for every part of the schema.

@@ -119,7 +119,15 @@ fn is_like(pattern: &str, key: &str) -> bool {
 /// # Errors
 /// When a key or a value is not allowed, or a key is missing. The first problem in the order of the schema counts.
 pub fn check_against(root: &Json, tree: &Node, hints: &Hints) -> Result<(), Problem> {
-    Check { root, hints }.node(root, tree, "")
+    check_part(root, root, tree, hints)
+}
+
+/// Like [`check_against`], for a tree that a part of the schema describes. `root` has the definitions.
+///
+/// # Errors
+/// See [`check_against`].
+pub fn check_part(root: &Json, part: &Json, tree: &Node, hints: &Hints) -> Result<(), Problem> {
+    Check { root, hints }.node(part, tree, "")
 }
 
 /// A schema with its definitions, and what it can't say.
@@ -138,8 +146,17 @@ impl Check<'_> {
             Problem::new(&node.place, unexpected(&expected(self.root, schema, self.hints), &node.value, path))
         };
         if let Some(either) = schema["anyOf"].as_array() {
-            let is_one = either.iter().any(|choice| self.node(choice, node, path).is_ok());
-            return if is_one { Ok(()) } else { Err(unexpected()) };
+            if either.iter().any(|choice| self.node(choice, node, path).is_ok()) {
+                return Ok(());
+            }
+            // If one choice alone allows a list, or a section, the problem inside of it is what was meant.
+            let has_parts = matches!(node.value, Value::List(_) | Value::Section(_));
+            let mut alike =
+                either.iter().filter(|choice| has_type(resolve(self.root, choice).0, &node.value));
+            return match (alike.next(), alike.next()) {
+                (Some(only), None) if has_parts => self.node(only, node, path),
+                _ => Err(unexpected()),
+            };
         }
         if !has_type(schema, &node.value) || !is_within_bounds(schema, &node.value) {
             return Err(unexpected());
@@ -285,8 +302,8 @@ pub fn properties(schema: &Json) -> impl Iterator<Item = (&String, &Json)> {
     schema["properties"].as_object().into_iter().flatten()
 }
 
-/// The values of an enumeration, which the schema gives one by one with their descriptions.
-fn choices(schema: &Json) -> Option<Vec<&str>> {
+/// The values of an enumeration, which the schema gives one by one with their descriptions; `None` for other schemas.
+pub fn choices(schema: &Json) -> Option<Vec<&str>> {
     Some(schema["oneOf"].as_array()?.iter().filter_map(|choice| choice["const"].as_str()).collect())
 }
 
@@ -341,7 +358,11 @@ fn is_within_bounds(schema: &Json, value: &Value) -> bool {
 pub fn expected(root: &Json, schema: &Json, hints: &Hints) -> String {
     let (schema, definition) = resolve(root, schema);
     if let Some(choices) = choices(schema) {
-        return format!("one of {}{}", choices.join(", "), (hints.others)(&definition.to_lowercase()));
+        let all = match choices[..] {
+            [only] => format!("{TEXT} '{only}'"),
+            _ => format!("one of {}", choices.join(", ")),
+        };
+        return all + (hints.others)(&definition.to_lowercase());
     }
     if let Some(either) = schema["anyOf"].as_array() {
         return either.iter().map(|choice| expected(root, choice, hints)).collect::<Vec<_>>().join(" or ");

@@ -134,12 +134,16 @@ impl Node {
         Self { place: place.clone(), value }
     }
 
-    /// Returns the value as JSON. A number that JSON cannot hold becomes null, so check the tree first.
+    /// Returns the value as JSON. An integer beyond 64 bits becomes the nearest float. A float that is not finite becomes
+    /// null, so check the tree first.
     pub fn to_json(&self) -> serde_json::Value {
         match &self.value {
             Value::Null => serde_json::Value::Null,
             Value::Bool(value) => (*value).into(),
-            Value::Integer(value) => serde_json::Number::from_i128(*value).into(),
+            Value::Integer(value) => match serde_json::Number::from_i128(*value) {
+                Some(number) => number.into(),
+                None => (*value as f64).into(),
+            },
             Value::Float(value) => (*value).into(),
             Value::Text(value) => value.as_str().into(),
             Value::List(items) => items.iter().map(Node::to_json).collect(),

@@ -27,6 +27,7 @@ __all__ = [
     "networks",
     "plot",
     "query",
+    "read_mapping",
     "report",
     "run",
     "verify",
@@ -98,6 +99,12 @@ def collect(
     path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, workers: int | None
 ) -> list[tuple[Path, int]]:
     """Each dataset's folder with the number of episodes that were simulated; see `harness.collect`."""
+
+def read_mapping(path: Path) -> str:
+    """Reads and checks a mapping. Returns its content as JSON, whose keys are in the file's order.
+
+    Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.
+    """
 
 def networks(run: str, results: Path) -> list[tuple[str, Path, str]]:
     """Task, path and description, as JSON, of each network of a run; see `harness.load_network`."""

@@ -7,6 +7,7 @@
 mod array;
 mod dataset;
 mod errors;
+mod mapping;
 mod model;
 mod policy;
 mod results;
@@ -31,6 +32,8 @@ mod _harness {
 
     #[pymodule_export]
     use super::dataset::Dataset;
+    #[pymodule_export]
+    use super::mapping::read_mapping;
     #[pymodule_export]
     use super::model::{Model, attached, export_onnx, may_have_network, networks};
     #[pymodule_export]

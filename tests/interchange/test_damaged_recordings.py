@@ -1,6 +1,8 @@
 """Damaged and odd recordings: each is an error with the file and the place, and leaves nothing behind."""
 
+import copy
 import io
+import json
 import re
 import shutil
 import sqlite3
@@ -13,7 +15,6 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-import yaml
 import zarr
 from PIL import Image
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -32,7 +33,7 @@ Change = Callable[[Path, dict[str, Any]], None]
 def is_refused(folder: Path, mapping: dict[str, Any], words: str) -> None:
     path, results = folder / "lab.yaml", folder / "results"
     defaults = {"name": "lab", "sample_rate_hz": 10, "max_gap_s": 0.5}
-    path.write_text(yaml.safe_dump(defaults | mapping))
+    path.write_text(json.dumps(defaults | mapping, sort_keys=True))
     with pytest.raises((ValueError, FileNotFoundError)) as error:
         import_dataset(path, results, progress=False)
     assert re.search(words, str(error.value)), f"{words}\n{error.value}"
@@ -249,7 +250,7 @@ CSV_CASES: dict[str, tuple[Change, str]] = {
 def test_a_csv_recording_is_refused_with(csv_trials, tmp_path, case):
     change, words = CSV_CASES[case]
     shutil.copytree(csv_trials / "rec", tmp_path / "rec")
-    mapping = yaml.safe_load(yaml.safe_dump(CSV))
+    mapping = copy.deepcopy(CSV)
     change(tmp_path, mapping)
     is_refused(tmp_path, mapping, words)
 
@@ -910,7 +911,7 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
     ),
     "a time of another kind": (
         setting("streams", "joints", "time", to="sent"),
-        "streams.joints: time: must be header or received, not 'sent'",
+        "lab.yaml:1:\\d+: unknown message_time 'sent' in 'streams.joints.time'. Allowed: header, received",
     ),
 }
 
@@ -919,7 +920,7 @@ BAG_CASES: dict[str, tuple[Change, str]] = {
 def test_a_bag_is_refused_with(bags, tmp_path, case):
     change, words = BAG_CASES[case]
     shutil.copytree(bags / "rec", tmp_path / "rec")
-    mapping = yaml.safe_load(yaml.safe_dump(BAGS))
+    mapping = copy.deepcopy(BAGS)
     change(tmp_path, mapping)
     is_refused(tmp_path, mapping, words)
 
@@ -933,12 +934,12 @@ def test_the_undamaged_recordings_are_imported(csv_trials, bags, tmp_path):
     """Otherwise, the tests above would prove nothing."""
     for folder, mapping in ((csv_trials, CSV), (bags, BAGS)):
         path = folder / "lab.yaml"
-        path.write_text(yaml.safe_dump({"name": "lab", "sample_rate_hz": 10, "max_gap_s": 0.5} | mapping))
+        path.write_text(json.dumps({"name": "lab", "sample_rate_hz": 10, "max_gap_s": 0.5} | mapping))
         assert import_dataset(path, tmp_path / "results", progress=False)
 
 
 def test_the_undamaged_arrays_are_imported(array_trials, tmp_path):
     format, folder = array_trials
     path = folder / "lab.yaml"
-    path.write_text(yaml.safe_dump({"name": "lab", "sample_rate_hz": 10, "max_gap_s": 0.5} | of_arrays(format)))
+    path.write_text(json.dumps({"name": "lab", "sample_rate_hz": 10, "max_gap_s": 0.5} | of_arrays(format)))
     assert import_dataset(path, tmp_path / "results", progress=False)

@@ -1,5 +1,7 @@
 """What the installed distribution says about itself, and the files about the project that other programs read."""
 
+import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from harness import _mujoco
+from harness import _harness, _mujoco
 
 DISTRIBUTION = distribution("soft-harness")
 VERSION = tomllib.loads((ROOT / "Cargo.toml").read_text())["workspace"]["package"]["version"]
@@ -58,3 +60,29 @@ def test_files_for_other_programs_follow_their_schemas(path: str, schema: str) -
     check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema, ROOT / path]
     ended = subprocess.run(check, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def accepts(schema: Path, file: Path) -> bool:
+    """Whether a validator that is not ours accepts a file."""
+    check = [sys.executable, "-m", "check_jsonschema", "--schemafile", schema, file]
+    return subprocess.run(check, capture_output=True).returncode == 0
+
+
+@pytest.mark.parametrize("page", ["exchange", "recordings"])
+def test_mappings_follow_the_schema_for_editors(page: str, tmp_path: Path) -> None:
+    text, file = (ROOT / f"docs/{page}.md").read_text(), tmp_path / "mapping.yaml"
+    blocks = re.findall(r"```yaml\n(name: .*?)```", text, re.DOTALL)
+    mappings = [block for block in blocks if "\nmodalities:" in block]
+    for mapping in mappings:
+        file.write_text(mapping)
+        assert accepts(ROOT / "experiments/mapping.schema.json", file)
+        content = json.loads(_harness.read_mapping(file))
+        assert list(content) == re.findall(r"^(\w+):", mapping, re.MULTILINE)
+        for wrong in ("formats: csv\n", 'source: "rec"\nmax_gap_s: .inf\n'):
+            file.write_text(re.sub("^source: .*\n", wrong, mapping, flags=re.MULTILINE))
+            assert not accepts(ROOT / "experiments/mapping.schema.json", file)
+            with pytest.raises(ValueError, match=rf"{file}:\d+:\d+: "):
+                _harness.read_mapping(file)
+    assert mappings
+    with pytest.raises(FileNotFoundError, match="nowhere.yaml: there is no such file"):
+        _harness.read_mapping(tmp_path / "nowhere.yaml")

@@ -708,6 +708,8 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     observation = {name: dataset[name][:2] for name in model.input}
     latent, _ = model.encode(observation)
     action = np.zeros((2, 3), np.float32)
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text("{name: lab, source: lab, format: lerobot, modalities: {setpoint: action, x: x}}")
     calls = {
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
@@ -732,6 +734,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         ),
         "verify": lambda: _harness.verify(results),
         "collect": lambda: _harness.collect(SMOKE, [], False, results, False, None),
+        "read_mapping": lambda: _harness.read_mapping(mapping),
         "networks": lambda: _harness.networks(run, results),
         "attached": lambda: _harness.attached(run, results),
         "may_have_network": lambda: _harness.may_have_network(run, results),

@@ -65,12 +65,9 @@ from harness.recorded import Episode
 
 try:
     import PIL  # noqa: F401
-    import yaml  # noqa: F401
     from tqdm import tqdm
 except ImportError as error:
-    raise ImportError(
-        f"importing needs the packages pillow, pyyaml and tqdm: pip install pillow pyyaml tqdm ({error})"
-    ) from error
+    raise ImportError(f"importing needs the packages pillow and tqdm: pip install pillow tqdm ({error})") from error
 
 from .conversion import episode_of
 from .lerobot import open_lerobot

@@ -179,8 +179,6 @@ class BagStream(Stream):
         self._connection = bag.connection(topic, f"streams.{settings.name}.topic")
         self._prefix = f"{settings.name}."
         which = settings.where.get("time", "header")
-        if which not in ("header", "received"):
-            raise settings.error(f"time: must be header or received, not '{which}'")
         received, stamps = [], []
         first = None
         joints: dict[str, None] = {}

@@ -1,0 +1,14 @@
+//! The Python function that reads the mappings of `harness.importing`.
+
+use crate::errors::Raise;
+use harness::spec;
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// Reads and checks a mapping. Returns its content as JSON, whose keys are in the file's order.
+///
+/// Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.
+#[pyfunction]
+pub fn read_mapping(path: PathBuf) -> PyResult<String> {
+    spec::read_mapping(&path).map(|mapping| mapping.to_string()).map_err(Raise::raise)
+}
