@@ -186,6 +186,64 @@ def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path):
         imported(tmp_path, format="ros2", streams=streams, modalities={"setpoint": "command", "eye": EYE})
 
 
+# --- rows of Parquet files ---
+
+PARQUET = {"format": "parquet", "episode": "trial", "order": "row", "sample_rate_hz": 10, "max_gap_s": None}
+
+
+def of_rows(folder: Path, modality: Any = "x", **columns: Any) -> Path:
+    rows = {"trial": np.repeat([0, 1, 2], ROWS), "row": np.tile(np.arange(ROWS), 3), "u": np.zeros(3 * ROWS)}
+    pl.DataFrame(rows | {name: values * 3 for name, values in columns.items()}).write_parquet(folder / "rec.parquet")
+    keys = {key: value for key, value in PARQUET.items() if value is not None}
+    path = folder / "lab.yaml"
+    modalities = {"setpoint": "u", "eye" if isinstance(modality, dict) else "x": modality}
+    path.write_text(json.dumps({"name": "lab", "source": "rec.parquet", "modalities": modalities} | keys))
+    return folder / "results/datasets" / import_dataset(path, folder / "results", progress=False)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (["1", "2", "3", "4"], "modalities.x: 'x' holds no numbers"),
+        (["1", None, "3", "4"], "modalities.x: 'x' holds no numbers"),
+        ([["1", "2"]] * 4, "modalities.x: 'x' holds no numbers"),
+        (
+            [2_000_000_000 + row for row in range(4)],
+            "modalities.x: value 0 changes by 3 only, near 2e.09; datasets store",
+        ),
+        ([1.7e9, 1.7e9 + 0.1, 1.7e9 + 0.2, 1.7e9 + 0.3], "modalities.x: value 0 changes by 0.3 only, near 1.7e.09"),
+        ([1e39] * 4, "modalities.x: value 0 of row 0 is 1e.39; it must be a finite number"),
+    ],
+)
+def test_numbers_that_a_dataset_cannot_store_are_refused(tmp_path, values, words):
+    with pytest.raises(ValueError, match=words):
+        of_rows(tmp_path, x=values)
+
+
+@pytest.mark.parametrize(
+    ("values", "stored"),
+    [
+        ([True, False, True, True], [1, 0, 1, 1]),
+        ([2e9] * 4, [2e9] * 4),
+        ([0, 10**9, 2 * 10**9, 10**7], [0, 1e9, 2e9, 1e7]),
+        ([9.81, 9.81 + 1e-9, 9.81, 9.81], [np.float32(9.81)] * 4),
+    ],
+)
+def test_numbers_that_a_dataset_can_store_are_imported(tmp_path, values, stored):
+    assert column(of_rows(tmp_path, x=values), "x_00") == stored
+
+
+def test_an_image_file_of_as_many_bytes_as_pixels_is_no_raw_image(tmp_path):
+    buffer = io.BytesIO()
+    Image.fromarray(GRADIENT).save(buffer, "PNG")
+    data = buffer.getvalue()
+    # PNG files end in a chunk without content; a comment before it makes the file as long as 8 x 8 pixels.
+    file = data + bytes(8 * 8 * 3 - len(data))
+    assert len(file) == 8 * 8 * 3
+    dataset = of_rows(tmp_path, {"from": "picture", "size": [8, 8]}, picture=[file] * ROWS)
+    np.testing.assert_array_equal(frame(dataset)[..., 0], GRADIENT)
+
+
 # --- HDF5 ---
 
 

@@ -32,6 +32,11 @@ DIVISIONS = ("episode", "episodes", "episode_ends")
 Columns = dict[str, Any]
 """The values of a recording's columns in one episode, by name: arrays or lists, [samples, …]."""
 
+EXACT = 2**24
+"""The largest integer up to which float32 has all integers."""
+LEVELS = 100
+"""How many values float32 must have in the range of an element whose values are larger than EXACT."""
+
 _ACTION = re.compile(r"action\b")
 _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
 
@@ -89,11 +94,7 @@ class Selection:
         parts = []
         for term in self.terms:
             for column, elements in self._matches(term, list(episode)):
-                try:
-                    values = np.asarray(episode[column], np.float64)
-                except (TypeError, ValueError):
-                    raise self.error(f"'{column}' holds no numbers, or lists of different lengths") from None
-                values = values.reshape(len(values), -1)
+                values = self._numbers(column, episode[column])
                 if (elements.stop or 0) > values.shape[1]:
                     raise self.error(
                         f"{term} goes beyond the end of '{column}'; all of it is {column}[0:{values.shape[1]}]"
@@ -106,12 +107,37 @@ class Selection:
             raise self.error(f"scale: must be 1 number or {values.shape[1]}, not {len(self.scale)}")
         if self.scale is not None:
             values = values * self.scale
+        return self._stored(values)
+
+    def _numbers(self, column: str, values: Any) -> np.ndarray:
+        """Returns the values of a column, float64 [samples, elements]."""
+        try:
+            found = np.asarray(values)
+            # NumPy would read the numbers in texts.
+            if found.dtype.kind in "biuf" or found.dtype.kind == "O" and not _holds_text(found):
+                return found.astype(np.float64).reshape(len(found), -1)
+        except (TypeError, ValueError):
+            pass
+        raise self.error(f"'{column}' holds no numbers, or lists of different lengths")
+
+    def _stored(self, values: np.ndarray) -> np.ndarray:
+        """Returns values as a dataset stores them, float32 [samples, elements]."""
         with np.errstate(over="ignore"):
-            values = values.astype(np.float32)
-        if not np.isfinite(values).all():
-            row, element = np.argwhere(~np.isfinite(values))[0]
-            raise self.error(f"value {element} of row {row} is {values[row, element]}; it must be a finite number")
-        return values
+            stored = values.astype(np.float32)
+        if not np.isfinite(stored).all():
+            row, element = np.argwhere(~np.isfinite(stored))[0]
+            raise self.error(
+                f"value {element} of row {row} is {values[row, element]}; it must be a finite number, at most 3.4e38"
+            )
+        largest, span = np.abs(stored).max(axis=0), np.ptp(values, axis=0)
+        steps = np.spacing(largest)
+        if (coarse := (largest > EXACT) & (steps * LEVELS > span) & (span > 0)).any():
+            element = int(np.argmax(coarse))
+            raise self.error(
+                f"value {element} changes by {span[element]:.6g} only, near {largest[element]:.6g}; datasets store 24 "
+                f"bits (float32), in which such values are {steps[element]:g} apart; subtract a constant before the import"
+            )
+        return stored
 
     def error(self, problem: str) -> MappingError:
         """Returns an error whose message begins with the modality's place in the mapping."""
@@ -275,6 +301,10 @@ def _selection(modality: str, value: Any, kind: str) -> Selection:
         size=tuple(size) if size else None,
         shift=keys.get("shift", int(is_action)),
     )
+
+
+def _holds_text(values: np.ndarray) -> bool:
+    return any(isinstance(value, str | bytes) for value in np.ravel(values).tolist())
 
 
 def _listed(value: Any) -> list[Any]:
