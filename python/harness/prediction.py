@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _harness
 from ._arguments import integer, name_tuple
 from ._attachments import attachment
+from .recorded import read_json
 
 if TYPE_CHECKING:
     import polars
@@ -469,7 +470,7 @@ def _source(dataset: str, results: Path) -> dict[str, Any]:
             f"dataset: there is no {dataset} in {results / 'datasets'}; `harness.collect(SPEC)` makes the datasets of "
             "an experiment"
         )
-    described = json.loads(path.read_text(encoding="utf-8"))
+    described = read_json(path)
     if "imported" in described:
         return {"scenarios": [dataset]}
     return {"scenarios": [described["scenario"]], "simulation": described["simulation"]}

@@ -20,7 +20,7 @@ FORMAT = 2
 Layout = dict[str, Any]
 """The layout of a dataset's samples, from its `dataset.json`: `modalities`, and `regions` of the images."""
 
-FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text())
+FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text(encoding="utf-8"))
 """The layout of the worlds `empty` and `cluttered`, also used for datasets that are older than layouts."""
 
 PAPER = ("empty", "cluttered")
@@ -133,13 +133,11 @@ class RecordedDataset:
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
         try:
-            self.description = json.loads((self.folder / "dataset.json").read_text())
+            self.description = read_json(self.folder / "dataset.json")
         except (FileNotFoundError, NotADirectoryError):
             raise FileNotFoundError(
                 f"{self.folder} contains no dataset: a dataset is a folder with a dataset.json, as in results/datasets"
             ) from None
-        except json.JSONDecodeError as error:
-            raise DamagedError(f"{self.folder / 'dataset.json'} is damaged: {error}") from None
         if self.description.get("format") != FORMAT:
             found = self.description.get("format")
             raise ValueError(f"{self.folder} is in format {found}; this version reads format {FORMAT}")
@@ -210,12 +208,7 @@ class RecordedDataset:
             FileNotFoundError: there is no such file.
             DamagedError: the file has changed since it was written, or is another episode's.
         """
-        path = self._path(index)
-        data = read_sealed(path)
-        stamp = pl.read_parquet_metadata(io.BytesIO(data))
-        if (stamp.get("harness.dataset"), stamp.get("harness.episode")) != (self.name, str(index)):
-            raise DamagedError(f"{path} is damaged: it is not episode {index} of {self.name}")
-        table = pl.read_parquet(io.BytesIO(data))
+        table = pl.read_parquet(io.BytesIO(read_stamped(self._path(index), self.name, index)))
         return Episode(
             index=index,
             time=table["time"].to_numpy(),
@@ -249,6 +242,36 @@ def read_sealed(path: Path) -> bytes:
     if data[start : start + _DIGITS] != digest:
         raise DamagedError(f"{path} is damaged: it has changed since it was written: its SHA-256 differs")
     return data
+
+
+def read_stamped(path: Path, dataset: str, index: int) -> bytes:
+    """Reads the file of an episode of a dataset, as `read_sealed` does.
+
+    Raises:
+        DamagedError: the file has changed since it was written, or is another episode's.
+    """
+    data = read_sealed(path)
+    stamp = pl.read_parquet_metadata(io.BytesIO(data))
+    if (stamp.get("harness.dataset"), stamp.get("harness.episode")) != (dataset, str(index)):
+        raise DamagedError(f"{path} is damaged: it is not episode {index} of {dataset}")
+    return data
+
+
+def read_json(path: Path) -> Any:
+    """Reads a JSON file as the Rust program does, to which `NaN` and `Infinity` are no numbers.
+
+    Raises:
+        OSError: the file can't be read.
+        DamagedError: it is no JSON.
+    """
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is no number in JSON")
+
+    try:
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    except ValueError as error:
+        raise DamagedError(f"{path} is damaged: {error}") from None
 
 
 def _digest(data: bytes, start: int) -> bytes:

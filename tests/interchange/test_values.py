@@ -3,6 +3,7 @@
 import functools
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -332,3 +333,72 @@ def test_times_that_their_type_rounds_are_refused(tmp_path, type, start, unit, w
     else:
         with pytest.raises(ValueError, match=rf"rec/0.h5: clock: {words}"):
             of_hdf5(tmp_path, write, time="clock", time_unit=unit)
+
+
+# --- what is in the results folder already ---
+
+
+def infinite(path: Path) -> None:
+    path.write_text(path.read_text().replace('"max_gap_s": 0.5', '"max_gap_s": Infinity'))
+
+
+DAMAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "a number that JSON does not have": ("dataset.json", infinite),
+    "half a description": ("dataset.json", lambda path: os.truncate(path, 40)),
+    "no description": ("dataset.json", Path.unlink),
+    "the description of another": ("dataset.json", lambda path: path.write_text('{"format": 2}')),
+    "half an episode": ("episode_00001.parquet", lambda path: os.truncate(path, 900)),
+    "a changed byte": (
+        "episode_00001.parquet",
+        lambda path: path.write_bytes(path.read_bytes().replace(b"lab", b"bal", 1)),
+    ),
+    "no episode": ("episode_00001.parquet", Path.unlink),
+    "the file of another episode": (
+        "episode_00001.parquet",
+        lambda path: path.write_bytes((path.parent / "episode_00000.parquet").read_bytes()),
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_importing_again_repairs_a_dataset(tmp_path, damage):
+    file, change = DAMAGES[damage]
+
+    def again() -> Path:
+        return of_hdf5(tmp_path, lambda opened: opened.create_dataset("x", data=np.arange(ROWS)))
+
+    dataset = again()
+    whole = {path.name: path.read_bytes() for path in dataset.iterdir()}
+    change(dataset / file)
+    assert not (dataset / file).exists() or (dataset / file).read_bytes() != whole[file]
+    assert again() == dataset
+    assert {path.name: path.read_bytes() for path in dataset.iterdir()} == whole
+    assert not list((tmp_path / "results").glob(".unfinished-*"))
+
+
+def test_a_dataset_that_is_whole_is_not_written_again(tmp_path):
+    def write(file: h5py.File) -> None:
+        file["x"] = np.arange(ROWS)
+
+    dataset = of_hdf5(tmp_path, write)
+    before = {path: path.stat().st_ino for path in dataset.iterdir()}
+    of_hdf5(tmp_path, write, offset_s=0)
+    assert {path: path.stat().st_ino for path in dataset.iterdir()} == before
+
+
+@pytest.mark.parametrize("gap", [float("inf"), float("nan"), -1, 0, ".inf"])
+def test_a_longest_gap_is_a_positive_number_or_unlimited(tmp_path, gap):
+    def write(file: h5py.File) -> None:
+        file["x"] = np.arange(ROWS)
+
+    with pytest.raises(
+        ValueError,
+        match=r"lab.yaml:1:\d+: 'streams.u.max_gap_s': expected a finite number above 0 or a text 'unlimited'",
+    ):
+        of_hdf5(tmp_path, write, max_gap_s=gap)
+    dataset = of_hdf5(tmp_path, write, max_gap_s="unlimited")
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    json.loads((dataset / "dataset.json").read_text(), parse_constant=refuse)

@@ -94,7 +94,7 @@ class Run:
     @property
     def spec(self) -> str:
         """The resolved spec, in YAML."""
-        return (self.folder / "spec.yaml").read_text()
+        return (self.folder / "spec.yaml").read_text(encoding="utf-8")
 
     @cached_property
     def settings(self) -> dict[str, Any]:

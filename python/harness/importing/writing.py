@@ -6,26 +6,32 @@ import contextlib
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 from tqdm import tqdm
 
-from harness._unfinished import unfinished_folder
+from harness._unfinished import LOCK, unfinished_folder
 from harness.recorded import (
     FORMAT,
     Episode,
     Layout,
     difference_of,
     image_shapes,
+    read_json,
+    read_stamped,
     vector_columns,
     write_episode,
 )
 
 from .mapping import KNOWN, Mapping, MappingError
+
+DESCRIPTION = "dataset.json"
+"""The file that describes a dataset."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +57,17 @@ class Draft:
         return cls(path, episode.index, len(episode), _digest(episode), widths)
 
     def read(self, mapping: Mapping) -> Episode:
-        """Reads the episode, and removes the file."""
+        """Reads the episode."""
         images = [name for name, selection in mapping.selections.items() if selection.size is not None]
         with open(self.path, "rb") as file:
             time = np.load(file)
             vectors = {name: np.load(file) for name in self.widths}
-            episode = Episode(self.index, time, vectors, {name: np.load(file) for name in images})
-        self.path.unlink()
-        return episode
+            return Episode(self.index, time, vectors, {name: np.load(file) for name in images})
 
 
 def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], results: Path, progress: bool) -> str:
-    """Writes a dataset, unless it is there already, and returns its name. Has one episode at a time in memory.
+    """Writes a dataset, and returns its name. If it is there already, only its missing and damaged files are written.
+    Has one episode at a time in memory.
 
     Raises:
         MappingError: the episodes do not fit each other. Whatever `episodes` raises is raised as well.
@@ -73,25 +78,59 @@ def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], re
         drafts = [Draft.write(unfinished, episode) for episode in episodes]
         identity = _identity(mapping, rate, drafts)
         # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
-        text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
         name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
         folder = results / "datasets" / name
-        if folder.exists():
-            return name
         layout = identity["imported"]["layout"]
         for draft in tqdm(drafts, desc="writing", unit=" episodes", file=sys.stderr, disable=not progress):
-            path = unfinished / f"episode_{draft.index:05}.parquet"
-            write_episode(path, name, name, draft.read(mapping), layout)
-        description = json.dumps(identity | {"mapping": mapping.text}, indent=2, default=str)
-        (unfinished / "dataset.json").write_text(description + "\n")
+            file = f"episode_{draft.index:05}.parquet"
+            if not _is_intact(read_stamped, folder / file, name, draft.index):
+                write_episode(unfinished / file, name, name, draft.read(mapping), layout)
+            draft.path.unlink(missing_ok=True)
+        if not _is_intact(_read_description, folder / DESCRIPTION, identity):
+            description = json.dumps(identity | {"mapping": mapping.text}, indent=2, allow_nan=False)
+            (unfinished / DESCRIPTION).write_text(description + "\n", encoding="utf-8")
         folder.parent.mkdir(exist_ok=True)
+        _move(unfinished, folder)
+    return name
+
+
+def _is_intact(read: Callable[..., object], *arguments: object) -> bool:
+    """Returns whether a file can be read: it is there, and was not changed since it was written."""
+    try:
+        read(*arguments)
+    # Polars raises errors of its own for a damaged file.
+    except (OSError, ValueError, pl.exceptions.PolarsError):
+        return False
+    return True
+
+
+def _read_description(path: Path, identity: dict[str, Any]) -> None:
+    """Reads the description of a dataset.
+
+    Raises:
+        OSError: it can't be read.
+        ValueError: it is damaged, or describes another dataset.
+    """
+    found = read_json(path)
+    if not isinstance(found, dict) or {key: found.get(key) for key in identity} != identity:
+        raise ValueError(f"{path} does not describe this dataset")
+
+
+def _move(unfinished: Path, folder: Path) -> None:
+    """Moves the new files to a dataset's folder. Nobody ever sees a part of a file."""
+    if not folder.exists():
         try:
             unfinished.rename(folder)
+            return
         except OSError:
             # Another process may have imported the same dataset meanwhile.
             if not folder.exists():
                 raise
-    return name
+    # The description comes last, so that a dataset without episodes is not taken for whole.
+    for path in sorted(unfinished.iterdir(), key=lambda path: path.name == DESCRIPTION):
+        if path.name != LOCK:
+            path.replace(folder / path.name)
 
 
 @contextlib.contextmanager
