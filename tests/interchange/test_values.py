@@ -17,7 +17,9 @@ from PIL import Image
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from harness import _harness
 from harness.importing import import_dataset
+from harness.importing.inspection import first_mapping, inspect
 
 ROWS = 4
 GRADIENT = np.arange(64, dtype=np.uint8).reshape(8, 8) * 4
@@ -402,3 +404,24 @@ def test_a_longest_gap_is_a_positive_number_or_unlimited(tmp_path, gap):
         raise AssertionError(constant)
 
     json.loads((dataset / "dataset.json").read_text(), parse_constant=refuse)
+
+
+# --- first mappings ---
+
+
+def test_a_first_mapping_is_valid_whatever_the_names_are(tmp_path):
+    names = ["force [N]", "a: b", "#c", "it's", 'say "x"', "no", "true", "1e3", "*", "[1, 2]", "{", "ä"]
+    place = tmp_path / "rec: final #2"
+    place.mkdir()
+    for trial in range(3):
+        rows = {"time": np.arange(ROWS) / 10} | {name: np.arange(ROWS) + index for index, name in enumerate(names)}
+        pl.DataFrame(rows).write_csv(place / f"trial_{trial}.csv")
+    mapping = tmp_path / "first.yaml"
+    mapping.write_text(first_mapping(inspect(place), place, tmp_path))
+    lines = mapping.read_text().splitlines()
+    with pytest.raises(ValueError, match="'modalities.setpoint': expected a text or a list"):
+        _harness.read_mapping(mapping)
+    filled = [line.replace("setpoint:      #", "setpoint: [] #").replace("[]", '"trial_.no"') for line in lines]
+    mapping.write_text("\n".join(filled))
+    content = json.loads(_harness.read_mapping(mapping))
+    assert content["source"] == place.name

@@ -26,6 +26,8 @@ TIME = re.compile(
     r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]?(s|ms|us|ns))?", re.IGNORECASE
 )
 """What times are often called."""
+PLAIN = re.compile(r"(\.{1,2}/)*[A-Za-z_/][A-Za-z0-9_/.-]*")
+"""Texts that need no quotes in a mapping, besides words such as `true`."""
 SKIPPED_TOPICS = ("/rosout", "/parameter_events", "/tf", "/tf_static", "/events/write_split")
 
 
@@ -91,7 +93,7 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
     """Returns the text of a mapping in a folder. It marks what is guessed, and what the user has to fill in."""
     relative = source.relative_to(folder) if source.is_relative_to(folder) else source.resolve()
     name = re.sub(r"[^a-z0-9_]+", "_", source.stem.lower()).strip("_") or "recording"
-    lines = [f"name: {name if NAME.fullmatch(name) else f'recording_{name}'[:60]}", f"source: {relative}"]
+    lines = [f"name: {name if NAME.fullmatch(name) else f'recording_{name}'[:60]}", f"source: {quoted(str(relative))}"]
     lines += [f"format: {contents.format}", *contents.keys]
     if any(each.settings for each in contents.found):
         rates = [each.rate_hz for each in contents.found if each.rate_hz]
@@ -126,6 +128,12 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
         rest = f"size: {KNOWN['vision']['size']}" if is_image else 'unit: ""'
         lines.append(f"  {name}: {{from: {term}, {rest}}}")
     return "\n".join(lines) + "\n"
+
+
+def quoted(text: str) -> str:
+    """Returns a text as a mapping has it: in quotes, if it would mean something else without them."""
+    is_plain = PLAIN.fullmatch(text) and text.lower() not in ("true", "false", "null")
+    return text if is_plain else json.dumps(text, ensure_ascii=False)
 
 
 def _free(wish: str, taken: set[str]) -> str:
@@ -178,10 +186,10 @@ def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
     ends = next((name for name in arrays if re.search(r"(^|/)episode_ends$", name)), None)
     groups = list(dict.fromkeys(match[0] for name in arrays if (match := re.match(r"(.*/)?[^/]*?\d+(?=/)", name))))
     if ends:
-        keys.append(f"episode_ends: {ends}")
+        keys.append(f"episode_ends: {quoted(ends)}")
     elif len(groups) > 1:
         pattern = re.sub(r"\d+$", "*", groups[0])
-        keys.append(f"episodes: {pattern}")
+        keys.append(f"episodes: {quoted(pattern)}")
         prefix = f"{groups[0]}/"
     inside = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
     times = {name: array for name, array in inside.items() if _is_time(name, array)}
@@ -201,9 +209,11 @@ def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
             each.rate_hz, each.gap_s = _rate(
                 values.astype(np.float64) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
             )
-            each.settings = f"data: {name}, time: {time}" + (f", time_unit: {unit}" if unit != "s" else "")
+            each.settings = f"data: {quoted(name)}, time: {quoted(time)}" + (
+                f", time_unit: {unit}" if unit != "s" else ""
+            )
         else:
-            each.settings = f"data: {name}, rate_hz: "
+            each.settings = f"data: {quoted(name)}, rate_hz: "
         found.append(each)
     if any(each.settings.endswith("rate_hz: ") for each in found):
         keys.append("# fill in rate_hz: no times were found for some arrays")
@@ -260,7 +270,7 @@ def _ros2(path: Path) -> Contents:
                 found += [_of_joints(_free(topic, taken), topic, *group) for group in groups.items()]
                 continue
             stream = _free(topic, taken)
-            each = Found(stream, f"topic: {topic}", rate_hz=rate, gap_s=gap)
+            each = Found(stream, f"topic: {quoted(topic)}", rate_hz=rate, gap_s=gap)
             if connection.msgtype in (ros2.IMAGE, ros2.COMPRESSED):
                 each.columns = [(stream, stream, True)]
             else:
@@ -320,7 +330,7 @@ def _csv(path: Path) -> Contents:
     clocks: dict[str, str] = {}
     for pattern, file in _files(path):
         stream = _free(file.stem if pattern != "*.csv" else "log", taken)
-        key = f'file: "{pattern}", ' if pattern else ""
+        key = f"file: {quoted(pattern)}, " if pattern else ""
         if file.is_dir():
             images = Folder(stream, file)
             lines.append(f"  {pattern}: {images.count} images, such as {images.files[0].name}")
@@ -379,7 +389,7 @@ def _of_table(stream: str, key: str, table: csv.Table, place: str, lines: list[s
             unit = "s"
         times = table.times(time, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[unit])
         each.rate_hz, each.gap_s = _rate(times / 1e9)
-        each.settings = f"{key}time: {time}" + (f", time_unit: {unit}" if unit != "s" else "")
+        each.settings = f"{key}time: {quoted(time)}" + (f", time_unit: {unit}" if unit != "s" else "")
     groups: dict[str, list[str]] = {}
     for name in table.names:
         texts = table.frame[name]
@@ -392,14 +402,14 @@ def _of_table(stream: str, key: str, table: csv.Table, place: str, lines: list[s
     for base, names in groups.items():
         patterns = [f"{base}*", f"{base}?", f"{base}_?", f"{base}_*"]
         fitting = [each for each in patterns if fnmatch.filter(table.names, each) == names]
-        single = f"{stream}.{names[0]}"
-        term = single if len(names) == 1 else f'"{stream}.{fitting[0]}"' if fitting else _list(stream, names)
+        single = quoted(f"{stream}.{names[0]}")
+        term = single if len(names) == 1 else quoted(f"{stream}.{fitting[0]}") if fitting else _list(stream, names)
         each.columns.append((f"{stream}_{base}", term, False))
     return each
 
 
 def _list(stream: str, names: list[str]) -> str:
-    return f"[{', '.join(f'{stream}.{name}' for name in names)}]"
+    return f"[{', '.join(quoted(f'{stream}.{name}') for name in names)}]"
 
 
 def _parquet(path: Path) -> Contents:
@@ -411,12 +421,12 @@ def _parquet(path: Path) -> Contents:
     rows = re.compile(r"^(sample|frame|index|row|step)|time|stamp")
     order = next((name for name in schema if rows.search(name) and name != episode), "")
     keys = [
-        f"episode: {episode}      # the column whose value differs between episodes",
-        f"order: {order}      # the column by which an episode's rows are sorted",
+        f"episode: {quoted(episode) if episode else ''}      # the column whose value differs between episodes",
+        f"order: {quoted(order) if order else ''}      # the column by which an episode's rows are sorted",
         "sample_rate_hz: 10      # fill in: samples per second",
     ]
     columns = [
-        (name, name, kind in (pl.Binary, pl.Struct))
+        (name, quoted(name), kind in (pl.Binary, pl.Struct))
         for name, kind in schema.items()
         if name not in (episode, order) and (kind.is_numeric() or kind in (pl.List, pl.Array, pl.Binary, pl.Struct))
     ]
@@ -425,7 +435,7 @@ def _parquet(path: Path) -> Contents:
 
 def _lerobot(path: Path) -> Contents:
     with blaming(str(path / "meta/info.json")):
-        info = json.loads((path / "meta/info.json").read_text())
+        info = json.loads((path / "meta/info.json").read_text(encoding="utf-8"))
         features = {name: (list(each["shape"]), each["dtype"]) for name, each in info["features"].items()}
     lines = [
         f"{path}: {info.get('total_episodes')} episodes of {info.get('total_frames')} samples, {info.get('fps')} Hz"
@@ -433,7 +443,7 @@ def _lerobot(path: Path) -> Contents:
     lines += [f"  {name}  {shape}  {kind}" for name, (shape, kind) in features.items()]
     own = ("timestamp", "frame_index", "episode_index", "index", "task_index")
     found = [
-        Found(name, "", [(name.removeprefix("observation."), name, kind in ("video", "image"))])
+        Found(name, "", [(name.removeprefix("observation."), quoted(name), kind in ("video", "image"))])
         for name, (_, kind) in features.items()
         if name not in own and kind != "string"
     ]

@@ -145,6 +145,8 @@ class Selection:
 
     def _matches(self, term: str, available: list[str]) -> list[tuple[str, slice]]:
         """Returns the columns that a term matches, each with the slice of its elements."""
+        if term in available:
+            return [(term, slice(0, None))]
         found = _TERM.fullmatch(term)
         if not found:
             raise self.error(f"'{term}' is not understood; write COLUMN, COLUMN[3], COLUMN[0:20] or PATTERN_*")
