@@ -83,7 +83,7 @@ fn format(tree: &Node) -> Result<&'static Json, Problem> {
     }
 }
 
-fn unique<'a>(mut names: Vec<&'a str>) -> Vec<&'a str> {
+fn unique(mut names: Vec<&str>) -> Vec<&str> {
     let mut seen = std::collections::HashSet::new();
     names.retain(|name| seen.insert(*name));
     names
