@@ -251,7 +251,7 @@ impl<'s> SceneRenderer<'s> {
         eye: Eye,
         size: [u32; 2],
     ) -> Self {
-        let data = MjData::new(model.clone());
+        let data = scene.at_rest(model.clone());
         Self { scene, model, factors: FactorValues::default(), data, view, eye, size }
     }
 

@@ -68,7 +68,7 @@ struct View {
 
 impl Flow {
     pub fn new(scene: &Scene, of: SceneFlow) -> Self {
-        let data = || MjData::new(scene.model.clone());
+        let data = || scene.at_rest(scene.model.clone());
         Self { of, now: data(), before: data(), pixels: Vec::new() }
     }
 

@@ -15,6 +15,7 @@ use harness_spec::{
     Actuator, Element, Layout, Modality, ModelFile, Property, Scenario, Simulation, Start, World,
 };
 use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_model::traits::ModelType;
 use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex, Once};
@@ -343,6 +344,12 @@ impl Scene {
         &self.rest
     }
 
+    /// Returns the state of a model at rest: the scene's model or a copy with other values. Mocap bodies have the poses
+    /// of the world's keyframe.
+    pub(super) fn at_rest(&self, model: Arc<MjModel>) -> MjData<Arc<MjModel>> {
+        at_rest(model, self.keyframe)
+    }
+
     /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
         self.placements.iter().map(|placement| placement.boxes.len()).sum()
@@ -438,13 +445,19 @@ pub(super) fn write_state(state: &[f64], data: &mut MjData<Arc<MjModel>>) {
 /// Returns the positions in which a model rests: those of a keyframe or of its initial state, followed by the positions
 /// of the mocap bodies if the action moves some.
 fn rest_of(model: &MjModel, keyframe: Option<usize>, actuators: &[Driven]) -> Vec<f64> {
+    let data = at_rest(model, keyframe);
+    let moves_mocap = actuators.iter().any(|driven| driven.mocap.is_some());
+    let places = data.mocap_pos().iter().flatten().filter(|_| moves_mocap);
+    data.qpos().iter().chain(places).copied().collect()
+}
+
+/// Returns the state of a keyframe or, without one, a model's initial state.
+fn at_rest<M: ModelType>(model: M, keyframe: Option<usize>) -> MjData<M> {
     let mut data = MjData::new(model);
     if let Some(key) = keyframe {
         data.reset_keyframe(key).expect("the keyframe was found in the model");
     }
-    let moves_mocap = actuators.iter().any(|driven| driven.mocap.is_some());
-    let places = data.mocap_pos().iter().flatten().filter(|_| moves_mocap);
-    data.qpos().iter().chain(places).copied().collect()
+    data
 }
 
 fn digest(bytes: &[u8]) -> String {
