@@ -1,9 +1,10 @@
 //! Writes a first world file for any model.
 
 use super::SimulationError;
+use super::controls::Control;
 use super::joints::{ball_and_free, body_name, described, is_single, touches, word};
 use super::load::load_file;
-use super::resolve::{limits, named};
+use super::resolve::named;
 use super::scene::prepare;
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -102,22 +103,29 @@ pub fn draft_world(model: &Path, called: &str) -> Result<String, SimulationError
         }
     }
     let mut elements = BTreeSet::new();
-    for (index, (name, id)) in actuators.into_iter().enumerate() {
-        let [low, high] = limits(&model, id);
+    let controls = actuators
+        .into_iter()
+        .flat_map(|(name, id)| Control::all_of(&model, id).map(move |control| (name, control)));
+    for (index, (name, control)) in controls.enumerate() {
+        let [low, high] = control.limits(&model);
         let guess = match low.is_finite() || high.is_finite() {
             true => "",
             false => "   # a guess: the model sets no ctrlrange for this actuator",
         };
         let low = if low.is_finite() { low } else { high.min(1.0) - 2.0 };
         let high = if high.is_finite() { high } else { low + 2.0 };
-        let mut element = name.to_lowercase();
+        // An actuator with several controls has an element for each.
+        let part =
+            control.name(&model).filter(|_| Control::all_of(&model, control.actuator).nth(1).is_some());
+        let mut element = part.map_or(name.to_owned(), |part| format!("{name}_{part}")).to_lowercase();
         let mut number = index;
         while !harness_spec::is_name(&element) || !elements.insert(element.clone()) {
             element = format!("actuator_{number}");
             number += 1;
         }
+        let part = part.map_or(String::new(), |part| format!(", control: {part}"));
         let (name, range) = (quoted(name), format!("[{low:?}, {high:?}]"));
-        let _ = writeln!(text, "    {element}: {{actuator: {name}, range: {range}}}{guess}");
+        let _ = writeln!(text, "    {element}: {{actuator: {name}{part}, range: {range}}}{guess}");
     }
     Ok(text)
 }

@@ -6,6 +6,7 @@
 
 mod batch;
 mod camera;
+mod controls;
 mod course;
 mod draft;
 mod episode;
@@ -26,6 +27,7 @@ mod resolve;
 mod restart;
 mod scene;
 mod sensors;
+mod settled;
 mod sight;
 mod standing;
 mod timing;

@@ -289,8 +289,9 @@ impl<'s> Physics<'s> {
     }
 
     /// Starts an episode: applies its factors of variation to the model, and sets the joints of position servos to the
-    /// start of the motion and the boxes to their poses, all at rest. If the world names a keyframe, the joints have
-    /// its positions and velocities. Factors can offset other joints.
+    /// start of the motion and the boxes to their poses, all at rest. Coupled joints and the states of actuators
+    /// follow. If the world names a keyframe, the joints and the states have its values. Factors can offset other
+    /// joints.
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
@@ -313,10 +314,19 @@ impl<'s> Physics<'s> {
             driven.qpos.iter().for_each(|index| qpos[*index] = *value);
         }
         plan.factors.offset_joints(self.scene, qpos);
+        let scene = self.scene;
+        if scene.keyframe.is_none() {
+            scene.settling.couple(&self.instant.model, qpos);
+        }
         let boxes = self.scene.placements.iter().flat_map(|placement| &placement.boxes);
         for (body, pose) in boxes.zip(&plan.boxes) {
             qpos[body.qpos..body.qpos + pose.len()].copy_from_slice(pose);
         }
+        self.command();
+        if scene.keyframe.is_none() {
+            scene.settling.settle_states(&mut self.data);
+        }
+        scene.settling.fill_delays(&mut self.data);
     }
 
     /// Goes on from where another simulation of the same episode is, with the state rounded to f32 and without noise.
@@ -338,7 +348,7 @@ impl<'s> Physics<'s> {
     fn command(&mut self) {
         let ctrl = self.data.ctrl_mut();
         for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {
-            driven.actuators.iter().for_each(|actuator| ctrl[*actuator] = *value);
+            driven.controls.iter().for_each(|control| ctrl[*control] = *value);
         }
         let places = self.data.mocap_pos_mut();
         for (driven, value) in self.scene.actuators.iter().zip(&self.setpoint) {

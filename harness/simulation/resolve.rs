@@ -1,7 +1,9 @@
 //! Looks up the names of a world file in its MuJoCo model.
 
 use super::SimulationError;
+use super::controls::Control;
 use super::joints::is_single;
+use super::settled::Settling;
 use super::standing::FreeBody;
 use harness_spec::{
     Axis, Definition, Drawing, Element, Group, Kind, Layout, Modality, Motion, Ordered, Percentage, Posed,
@@ -20,6 +22,7 @@ pub(super) struct Resolved {
     pub sights: Vec<SceneSight>,
     pub posed: Vec<PosedObject>,
     pub actuators: Vec<Driven>,
+    pub settling: Settling,
     pub force_of_geom: Vec<Option<usize>>,
     pub force_of_flex: Vec<Option<usize>>,
     pub forces: usize,
@@ -112,8 +115,8 @@ pub(super) struct Tip {
 pub(super) struct Driven {
     /// Of joints' position servos, the indices into `qpos`: an episode starts with the joints at their setpoint.
     pub qpos: Vec<usize>,
-    /// None if a mocap body is moved.
-    pub actuators: Vec<usize>,
+    /// The controls, as indices into `ctrl`. None if a mocap body is moved.
+    pub controls: Vec<usize>,
     /// The index of a mocap body among these bodies, and the coordinate that is moved.
     pub mocap: Option<(usize, usize)>,
     /// Setpoints that the limits of all actuators and their joints allow.
@@ -245,28 +248,6 @@ fn shared_column(one: &Definition, other: &Definition) -> Option<String> {
     stored(other).into_iter().find(|column| own.contains(column))
 }
 
-/// The hinge or slide whose position an actuator's control is.
-fn servo(model: &MjModel, actuator: usize) -> Option<usize> {
-    let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator][1]);
-    let is_servo = model.actuator_trntype()[actuator] == MjtTrn::mjTRN_JOINT
-        && model.actuator_biastype()[actuator] == MjtBias::mjBIAS_AFFINE
-        && gain != 0.0
-        && gain == -bias
-        && model.actuator_gear()[actuator][0] == 1.0;
-    let joint = usize::try_from(model.actuator_trnid()[actuator][0]).ok().filter(|_| is_servo)?;
-    [HINGE, SLIDE].contains(&model.jnt_type()[joint]).then_some(joint)
-}
-
-/// The lowest and the highest setpoint that an actuator and, of a position servo, its joint allow. Infinite without a
-/// limit.
-pub(super) fn limits(model: &MjModel, actuator: usize) -> [f64; 2] {
-    let joint = servo(model, actuator).filter(|joint| model.jnt_limited()[*joint]);
-    let of_joint = joint.map(|joint| model.jnt_range()[joint]);
-    let of_actuator = model.actuator_ctrllimited()[actuator].then(|| model.actuator_ctrlrange()[actuator]);
-    let both = [of_joint, of_actuator].into_iter().flatten();
-    both.fold([f64::NEG_INFINITY, f64::INFINITY], |[low, high], own| [low.max(own[0]), high.min(own[1])])
-}
-
 /// Returns the names and indices of all named objects of a kind, in the model's order.
 pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
     let count = match kind {
@@ -338,6 +319,7 @@ impl<'a> Resolver<'a> {
             return Err(self.fault("step_rate_hz", message));
         }
         let actuators = self.actuators()?;
+        let settling = self.settling(&actuators);
         let mut modalities: Vec<(Definition, Vec<Reading>)> = Vec::new();
         let (mut cameras, mut flows, mut sights) = (Vec::new(), Vec::new(), Vec::new());
         for (name, sensing) in file.modalities.iter() {
@@ -410,7 +392,8 @@ impl<'a> Resolver<'a> {
         images.filter(|image| image.position >= place).for_each(|image| image.position += 1);
         let touch = self.touch(&modalities);
         let (definitions, readings): (Vec<Definition>, _) = modalities.into_iter().unzip();
-        let (placements, factors) = (self.placements(&actuators)?, self.factors(&actuators, &definitions)?);
+        let (placements, factors) =
+            (self.placements(&actuators)?, self.factors(&actuators, &settling, &definitions)?);
         self.check_columns(&factors, &definitions)?;
         let keyframe =
             file.keyframe.as_deref().map(|name| self.find(KEYFRAME, name, "keyframe")).transpose()?;
@@ -423,6 +406,7 @@ impl<'a> Resolver<'a> {
             sights,
             posed: self.posed,
             actuators,
+            settling,
             force_of_geom: self.force_of_geom,
             force_of_flex: self.force_of_flex,
             forces: self.forces,
@@ -883,11 +867,15 @@ impl<'a> Resolver<'a> {
                 Some(names) => self.matches(ACTUATOR, names, &own)?.into_iter().map(|(_, id)| id).collect(),
                 None => vec![self.find(ACTUATOR, actuator.actuator.as_deref().unwrap_or(name), &own)?],
             };
-            if driven.iter().any(|other: &Driven| other.actuators.iter().any(|id| ids.contains(id))) {
+            let controls = ids.iter().map(|id| self.control(*id, actuator.control.as_deref(), &path, &own));
+            let controls = controls.collect::<Result<Vec<Control>, _>>()?;
+            let indices: Vec<usize> = controls.iter().map(|control| control.index(self.model)).collect();
+            if driven.iter().any(|other: &Driven| other.controls.iter().any(|index| indices.contains(index)))
+            {
                 let message = "another element of the action drives the same actuator; leave one of them out";
                 return Err(self.fault(&own, message));
             }
-            let limits = ids.iter().map(|id| limits(self.model, *id));
+            let limits = controls.iter().map(|control| control.limits(self.model));
             let limits = limits.fold([f64::NEG_INFINITY, f64::INFINITY], |[low, high], own| {
                 [low.max(own[0]), high.min(own[1])]
             });
@@ -898,10 +886,10 @@ impl<'a> Resolver<'a> {
                     format!("[{low}, {high}] must lie within [{min}, {max}], which the model allows");
                 return Err(self.fault(&format!("{path}.range"), message));
             }
-            let servos = ids.iter().filter_map(|id| servo(self.model, *id));
+            let servos = controls.iter().filter_map(|control| control.servo(self.model));
             let qpos = servos.map(|joint| self.model.jnt_qposadr()[joint] as usize).collect();
             let setting = range_setting(name, actuator);
-            driven.push(Driven { qpos, actuators: ids, mocap: None, limits, setting });
+            driven.push(Driven { qpos, controls: indices, mocap: None, limits, setting });
         }
         for (place, one) in driven.iter().enumerate() {
             if one.mocap.is_some() && driven[..place].iter().any(|other| other.mocap == one.mocap) {
@@ -912,6 +900,51 @@ impl<'a> Resolver<'a> {
             }
         }
         Ok(driven)
+    }
+
+    /// Returns the control of an actuator that a setpoint drives. Of several controls, the world file names one.
+    fn control(
+        &self,
+        actuator: usize,
+        wanted: Option<&str>,
+        path: &str,
+        own: &str,
+    ) -> Result<Control, SimulationError> {
+        let all: Vec<Control> = Control::all_of(self.model, actuator).collect();
+        let names: Vec<&str> = all.iter().filter_map(|control| control.name(self.model)).collect();
+        let (name, names) = (name_of(self.model, ACTUATOR.0, actuator), names.join(", "));
+        match (wanted, all.as_slice()) {
+            (_, []) => Err(self.fault(own, format!("actuator {name} has no control; leave it out"))),
+            (None, [control]) => Ok(*control),
+            (None, [first, ..]) => {
+                let first = first.name(self.model).unwrap_or_default();
+                let message = format!(
+                    "actuator {name} has the controls {names}, and a setpoint is one number; name one, such as \
+                     control: {first}"
+                );
+                Err(self.fault(own, message))
+            }
+            (Some(wanted), all) => {
+                let found = all.iter().find(|control| control.name(self.model) == Some(wanted));
+                found.copied().ok_or_else(|| {
+                    let there = match names.as_str() {
+                        "" => "its only control has no name; leave this out".into(),
+                        names => format!("it has {names}"),
+                    };
+                    let message = format!("actuator {name} has no control '{wanted}'; {there}");
+                    self.fault(&format!("{path}.control"), message)
+                })
+            }
+        }
+    }
+
+    /// Finds what else is settled at the start of an episode, besides the joints of position servos.
+    fn settling(&self, actuators: &[Driven]) -> Settling {
+        let is_servo = |joint: &usize| {
+            let place = self.model.jnt_qposadr()[*joint] as usize;
+            actuators.iter().any(|driven| driven.qpos.contains(&place))
+        };
+        Settling::of(self.model, &(0..self.model.njnt() as usize).filter(is_servo).collect::<Vec<_>>())
     }
 
     /// The coordinate of a mocap body that follows a setpoint.
@@ -934,7 +967,7 @@ impl<'a> Resolver<'a> {
         };
         Ok(Driven {
             qpos: Vec::new(),
-            actuators: Vec::new(),
+            controls: Vec::new(),
             mocap: Some((mocap, axis)),
             limits: [f64::NEG_INFINITY, f64::INFINITY],
             setting: range_setting(name, actuator),
@@ -971,6 +1004,7 @@ impl<'a> Resolver<'a> {
     fn factors(
         &self,
         actuators: &[Driven],
+        settling: &Settling,
         modalities: &[Definition],
     ) -> Result<Vec<SceneFactor>, SimulationError> {
         let mut factors = Vec::new();
@@ -982,7 +1016,7 @@ impl<'a> Resolver<'a> {
                 None => ("modality", self.measured(patterns, modalities, &path)?),
             };
             for (thing, id) in &found {
-                if let Some(problem) = self.unchangeable(property, *id, actuators, modalities) {
+                if let Some(problem) = self.unchangeable(property, *id, actuators, settling, modalities) {
                     return Err(self.fault(&path, format!("{word} '{thing}' {problem}")));
                 }
             }
@@ -1071,6 +1105,7 @@ impl<'a> Resolver<'a> {
         property: Property,
         id: usize,
         actuators: &[Driven],
+        settling: &Settling,
         modalities: &[Definition],
     ) -> Option<String> {
         let model = self.model;
@@ -1107,6 +1142,9 @@ impl<'a> Resolver<'a> {
             Property::JointStart if is_driven(id) => {
                 Some("is moved by a position servo, so it starts at the setpoint; leave it out".into())
             }
+            Property::JointStart if settling.couplings.iter().any(|coupling| coupling.joint == id) => {
+                Some("is coupled by an equality, which says where it starts; leave it out".into())
+            }
             Property::Gravity if id != 0 => Some("has no gravity of its own; name the body 'world'".into()),
             Property::ActuatorStrength => {
                 let gains = [MjtGain::mjGAIN_FIXED, MjtGain::mjGAIN_AFFINE];
@@ -1142,7 +1180,8 @@ impl<'a> Resolver<'a> {
                 self.fault(&path, "rotation and extension must each be the position servo of a joint")
             );
         };
-        let joint = self.model.actuator_trnid()[actuators[elements[0]].actuators[0]][0] as usize;
+        let is_turned = |joint: &usize| self.model.jnt_qposadr()[*joint] as usize == rotation;
+        let joint = (0..self.model.njnt() as usize).find(is_turned).unwrap_or_default();
         let mut data = MjData::new(self.model);
         let mut body_at = |turned: f64, extended: f64| {
             let qpos = data.qpos_mut();

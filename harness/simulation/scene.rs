@@ -7,6 +7,7 @@ use super::resolve::{
     Area, ContactKinds, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
     SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
 };
+use super::settled::Settling;
 use super::standing::GroundModel;
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
@@ -40,6 +41,8 @@ pub struct Scene {
     /// The bodies and sites whose poses are sensed, by their indices in the model.
     pub(super) posed: Vec<PosedObject>,
     pub(super) actuators: Vec<Driven>,
+    /// What else is settled at the start of an episode.
+    pub(super) settling: Settling,
     /// For each geom, the index of the force to which its contacts are added.
     pub(super) force_of_geom: Vec<Option<usize>>,
     /// The same for each flex.
@@ -178,6 +181,7 @@ impl Scene {
             sights: resolved.sights,
             posed: resolved.posed,
             actuators: resolved.actuators,
+            settling: resolved.settling,
             force_of_geom: resolved.force_of_geom,
             force_of_flex: resolved.force_of_flex,
             forces: resolved.forces,
@@ -257,12 +261,12 @@ impl Scene {
     pub(super) fn start(&self, spec: &Simulation) -> Vec<f64> {
         if let Some(key) = self.keyframe {
             let (controls, places) = (self.model.key_ctrl(), self.model.key_mpos());
-            let controls = &controls[key * self.model.nactuator() as usize..];
+            let controls = &controls[key * self.model.nu() as usize..];
             let places = &places[key * 3 * self.model.nmocap() as usize..];
             let start = |([low, high], driven): ([f64; 2], &Driven)| {
                 let value = match driven.mocap {
                     Some((mocap, axis)) => places[3 * mocap + axis],
-                    None => controls[driven.actuators[0]],
+                    None => controls[driven.controls[0]],
                 };
                 value.clamp(low, high)
             };

@@ -321,6 +321,11 @@ pub struct Actuator {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub actuators: Option<Vec<String>>,
+    /// Name of the control that gets the setpoint, if the actuators have several: `pos`, `vel` and `ff` of a `pid` or
+    /// a `dcmotor`; `rx`, `ry` and `rz`, or `qw` to `qz`, of an `orientation`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "String")]
+    pub control: Option<String>,
     /// Name of a mocap body in the MJCF. Its coordinate `axis` follows the setpoint, and no actuator does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "String")]
@@ -348,6 +353,9 @@ impl Actuator {
             }
             (Some(_), _, Some(_), _) | (_, Some(_), Some(_), _) => {
                 Err("'mocap' moves a body without an actuator; leave one of them out")
+            }
+            (.., Some(_), _) if self.control.is_some() => {
+                Err("'mocap' moves a body, which has no 'control'; leave one of them out")
             }
             (.., Some(_), None) => Err("'mocap' needs an 'axis': x, y or z"),
             (.., None, Some(_)) => Err("only a 'mocap' has an 'axis'"),

@@ -147,10 +147,11 @@ def drive(model, driven):
     }
     names = {place: own.get("actuator") or name for place, (name, own) in enumerate(driven.items())}
     actuators = {place: model.actuator(name).id for place, name in names.items() if place not in mocaps}
+    controls = {place: model.actuator_ctrladr[actuator] for place, actuator in actuators.items()}
 
     def apply(data, setpoint):
-        for place, actuator in actuators.items():
-            data.ctrl[actuator] = setpoint[place]
+        for place, control in controls.items():
+            data.ctrl[control] = setpoint[place]
         for place, (body, axis) in moved.items():
             data.mocap_pos[body, axis] = setpoint[place]
 
