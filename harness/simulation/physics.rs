@@ -7,7 +7,7 @@ use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading};
 use super::scene::{Scene, read_state};
-use super::sensors::{MeanForces, instability, largest_kinds, sum_forces};
+use super::sensors::{MeanForces, Resting, instability, largest_kinds, sum_forces};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
@@ -31,6 +31,8 @@ pub(super) struct Physics<'s> {
     setpoint: Vec<f64>,
     /// Forces of the latest step whose forces are needed.
     forces: Vec<f64>,
+    /// Contacts of bodies that sleep.
+    resting: Resting,
     /// Mean of the forces since the latest sampled instant.
     mean: MeanForces,
     /// Noise of the samples that follow.
@@ -167,6 +169,7 @@ impl<'s> Physics<'s> {
             instant,
             setpoint: vec![0.0; elements],
             forces: vec![0.0; scene.forces],
+            resting: Resting::default(),
             mean: MeanForces::new(scene.forces),
             noise: Noise::default(),
             probe: None,
@@ -236,7 +239,9 @@ impl<'s> Physics<'s> {
                 self.data.copy_to(sampled).expect("both have the episode's model");
                 sampled.forward();
             }
+            self.resting.fall_asleep(self.scene, &self.data);
             self.data.step();
+            self.resting.wake(&self.data);
             if self.step == 0 {
                 check_start(self.scene, self.episode, self.sampled.as_ref().unwrap_or(&self.data))?;
             }
@@ -248,7 +253,7 @@ impl<'s> Physics<'s> {
             self.step += 1;
             let data = self.sampled.as_ref().unwrap_or(&self.data);
             if is_read {
-                sum_forces(self.scene, data, &mut self.forces);
+                sum_forces(self.scene, data, &self.resting, &mut self.forces);
                 self.mean.add(&self.forces);
             }
             if let (Some(probe), Some(touch)) = (&mut self.probe, &self.scene.touch) {
@@ -260,7 +265,7 @@ impl<'s> Physics<'s> {
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
                 for (kinds, found) in self.scene.contact_kinds.iter().zip(&mut self.instant.contact_kinds) {
-                    largest_kinds(self.scene, kinds, data, found);
+                    largest_kinds(self.scene, kinds, data, &self.resting, found);
                 }
                 self.instant.sensors.copy_from_slice(data.sensordata());
                 for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
@@ -327,6 +332,7 @@ impl<'s> Physics<'s> {
             scene.settling.settle_states(&mut self.data);
         }
         scene.settling.fill_delays(&mut self.data);
+        self.resting.restart(scene, &self.data);
     }
 
     /// Goes on from where another simulation of the same episode is, with the state rounded to f32 and without noise.
@@ -340,6 +346,7 @@ impl<'s> Physics<'s> {
         self.noise = Noise::default();
         self.step = other.step;
         self.probe = other.probe;
+        self.resting.clone_from(&other.resting);
         self.mean.clone_from(&other.mean);
         self.setpoint.clone_from(&other.setpoint);
         self.instant.state.clone_from(&other.instant.state);

@@ -5,15 +5,32 @@ use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
 use mujoco_rs::wrappers::mj_model::traits::ModelType;
+use std::sync::Arc;
+
+/// A contact of a sensed link.
+#[derive(Debug, Clone, Copy)]
+struct Touch {
+    /// The index of the link's force.
+    link: usize,
+    /// The geom on the other side; negative for a flex.
+    other: i32,
+    /// The normal force, N. It is negative where adhesion pulls.
+    force: f64,
+}
 
 /// Writes the normal force on each sensed link, N: the sum over the link's contacts. There is one value for each of the
 /// scene's forces. A contact between two links counts for both.
-pub(super) fn sum_forces(scene: &Scene, data: &MjData<impl ModelType>, forces: &mut [f64]) {
+pub(super) fn sum_forces(
+    scene: &Scene,
+    data: &MjData<impl ModelType>,
+    resting: &Resting,
+    forces: &mut [f64],
+) {
     forces.fill(0.0);
     if forces.is_empty() {
         return;
     }
-    each_touch(scene, data, |link, _, force| forces[link] += force);
+    each_touch(scene, data, resting, |touch| forces[touch.link] += touch.force);
 }
 
 /// Writes the kind of each force's contact: the kind whose contacts have the largest sum of forces, or 0 if no contact
@@ -22,56 +39,127 @@ pub(super) fn largest_kinds(
     scene: &Scene,
     kinds: &ContactKinds,
     data: &MjData<impl ModelType>,
+    resting: &Resting,
     found: &mut [usize],
 ) {
     let width = kinds.last + 1;
-    let mut sums = vec![0.0; found.len() * width];
-    each_touch(scene, data, |link, other, force| {
-        let kind = usize::try_from(other).map_or(kinds.last, |geom| kinds.of_geom[geom]);
-        sums[link * width + kind] += force;
+    let mut sums = vec![0.0f64; found.len() * width];
+    each_touch(scene, data, resting, |touch| {
+        let kind = usize::try_from(touch.other).map_or(kinds.last, |geom| kinds.of_geom[geom]);
+        sums[touch.link * width + kind] += touch.force;
     });
     for (found, sums) in found.iter_mut().zip(sums.chunks_exact(width)) {
-        let largest = |a: &usize, b: &usize| sums[*a].total_cmp(&sums[*b]);
-        *found = (0..width).filter(|kind| sums[*kind] > 0.0).max_by(largest).unwrap_or(0);
+        let largest = |a: &usize, b: &usize| sums[*a].abs().total_cmp(&sums[*b].abs());
+        *found = (0..width).filter(|kind| sums[*kind] != 0.0).max_by(largest).unwrap_or(0);
     }
 }
 
-/// Calls `touch` with the force's index, the geom on the other side (negative for a flex) and the normal force, N, of
-/// each contact of a sensed link. A contact between two links counts for both, and one within a link once.
-fn each_touch(scene: &Scene, data: &MjData<impl ModelType>, mut touch: impl FnMut(usize, i32, f64)) {
-    for contact in data.contact() {
-        // What is not a geom is a flex, and the other way round. The index of what it is not is negative.
-        let of = |forces: &[Option<usize>], id: i32| forces.get(usize::try_from(id).ok()?).copied().flatten();
-        let links = [0, 1].map(|side| {
-            of(&scene.force_of_geom, contact.geom[side]).or(of(&scene.force_of_flex, contact.flex[side]))
-        });
-        if links == [None, None] {
-            continue;
+/// Calls `found` with each contact of a sensed link. A contact between two links counts for both, and one within a link
+/// once.
+fn each_touch(scene: &Scene, data: &MjData<impl ModelType>, resting: &Resting, mut found: impl FnMut(Touch)) {
+    for (index, contact) in data.contact().iter().enumerate() {
+        touches(scene, data, index, contact).into_iter().flatten().for_each(&mut found);
+    }
+    resting.touches.iter().for_each(|(_, touch)| found(*touch));
+}
+
+/// Returns what the links on both sides of a contact feel.
+fn touches(
+    scene: &Scene,
+    data: &MjData<impl ModelType>,
+    index: usize,
+    contact: &MjContact,
+) -> [Option<Touch>; 2] {
+    // What is not a geom is a flex, and the other way round. The index of what it is not is negative.
+    let of = |forces: &[Option<usize>], id: i32| forces.get(usize::try_from(id).ok()?).copied().flatten();
+    let links = [0, 1].map(|side| {
+        of(&scene.force_of_geom, contact.geom[side]).or(of(&scene.force_of_flex, contact.flex[side]))
+    });
+    if links == [None, None] {
+        return [None; 2];
+    }
+    let force = data.contact_force(index)[0];
+    let touch = |side: usize| Some(Touch { link: links[side]?, other: contact.geom[1 - side], force });
+    [touch(0), touch(1).filter(|_| links[0] != links[1])]
+}
+
+/// Contacts of sleeping bodies. MuJoCo does not compute them while all bodies in contact sleep, but then they do not
+/// change either.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Resting {
+    /// For each kinematic tree whether it sleeps; empty if no contact of a body that can sleep is sensed.
+    asleep: Vec<bool>,
+    /// The contacts, each with the tree with which it sleeps.
+    touches: Vec<(usize, Touch)>,
+}
+
+impl Resting {
+    /// Begins an episode. Bodies that the model starts asleep have the contacts that they would have awake.
+    pub fn restart(&mut self, scene: &Scene, data: &MjData<Arc<MjModel>>) {
+        self.touches.clear();
+        self.asleep.clear();
+        if scene.forces == 0 || data.model().opt().enableflags & MjtEnableBit::mjENBL_SLEEP as i32 == 0 {
+            return;
         }
-        let force = normal_force(scene, data, contact);
-        let [first, second] = contact.geom;
-        if let Some(link) = links[0] {
-            touch(link, second, force);
+        self.asleep.resize(data.tree_asleep().len(), false);
+        if data.tree_asleep().iter().any(|tree| *tree >= 0) {
+            let mut model = Box::new(MjModel::clone(data.model()));
+            model.opt_mut().enableflags &= !(MjtEnableBit::mjENBL_SLEEP as i32);
+            let mut awake = MjData::new(model);
+            awake.qpos_mut().copy_from_slice(data.qpos());
+            awake.ctrl_mut().copy_from_slice(data.ctrl());
+            awake.act_mut().copy_from_slice(data.act());
+            awake.mocap_pos_mut().copy_from_slice(data.mocap_pos());
+            awake.mocap_quat_mut().copy_from_slice(data.mocap_quat());
+            awake.forward();
+            self.keep(scene, data.tree_asleep(), &awake);
         }
-        if let Some(link) = links[1].filter(|link| links[0] != Some(*link)) {
-            touch(link, first, force);
+    }
+
+    /// Keeps the contacts of bodies that the latest step let fall asleep. Must be called before the next step.
+    pub fn fall_asleep(&mut self, scene: &Scene, data: &MjData<impl ModelType>) {
+        if !self.asleep.is_empty() {
+            self.keep(scene, data.tree_asleep(), data);
         }
+    }
+
+    /// Forgets the contacts of bodies that the latest step woke.
+    pub fn wake(&mut self, data: &MjData<impl ModelType>) {
+        let trees = data.tree_asleep();
+        self.touches.retain(|(tree, _)| trees[*tree] >= 0);
+        self.asleep.iter_mut().zip(trees).for_each(|(asleep, tree)| *asleep &= *tree >= 0);
+    }
+
+    /// Keeps the contacts in `data` of bodies that have fallen asleep. MuJoCo gives awake trees a negative number.
+    fn keep(&mut self, scene: &Scene, trees: &[i32], data: &MjData<impl ModelType>) {
+        let is_new = |(asleep, tree): (&bool, &i32)| !asleep && *tree >= 0;
+        if !self.asleep.iter().zip(trees).any(is_new) {
+            return;
+        }
+        for (index, contact) in data.contact().iter().enumerate() {
+            let own = [0, 1].map(|side| tree_of(data.model(), contact, side));
+            let tree = own.into_iter().flatten().find(|tree| is_new((&self.asleep[*tree], &trees[*tree])));
+            if let Some(tree) = tree {
+                let found = touches(scene, data, index, contact).into_iter().flatten();
+                self.touches.extend(found.map(|touch| (tree, touch)));
+            }
+        }
+        self.asleep.iter_mut().zip(trees).for_each(|(asleep, tree)| *asleep = *tree >= 0);
     }
 }
 
-/// Returns the normal component of a contact's force, N. It equals the first value of `mj_contactForce`.
-fn normal_force(scene: &Scene, data: &MjData<impl ModelType>, contact: &MjContact) -> f64 {
-    // Contacts without constraint rows (within the margin, or excluded) have no force.
-    let Ok(first) = usize::try_from(contact.efc_address) else { return 0.0 };
-    let rows = match contact.dim as usize {
-        // Each edge of a pyramidal friction cone carries a part of the normal force, so the sum of the rows is the
-        // force.
-        dim if dim > 1 && scene.model.is_pyramidal() => 2 * (dim - 1),
-        _ => 1,
-    };
-    // SAFETY: the step that made this contact has also solved for the forces of its rows.
-    let efc_force = unsafe { data.efc_force() };
-    efc_force[first..first + rows].iter().sum()
+/// Returns the kinematic tree on one side of a contact; `None` if it can't move. All trees of a flex sleep together.
+fn tree_of(model: &MjModel, contact: &MjContact, side: usize) -> Option<usize> {
+    let tree = |body: &i32| usize::try_from(model.body_treeid()[*body as usize]).ok();
+    if let Ok(geom) = usize::try_from(contact.geom[side]) {
+        return tree(&model.geom_bodyid()[geom]);
+    }
+    let flex = usize::try_from(contact.flex[side]).ok()?;
+    let (first, count) = (model.flex_vertadr()[flex] as usize, model.flex_vertnum()[flex] as usize);
+    let vertices = model.flex_vertbodyid().iter().skip(first).take(count);
+    let (first, count) = (model.flex_nodeadr()[flex].max(0) as usize, model.flex_nodenum()[flex] as usize);
+    let nodes = model.flex_nodebodyid().iter().skip(first).take(count);
+    vertices.chain(nodes).find_map(tree)
 }
 
 /// The mean of the forces since the last [`MeanForces::take`].
