@@ -98,6 +98,7 @@ fn episodes_that_lack_a_column_are_collected_again() {
     let layout = lacking("contact_force_mean");
     let model = CompiledModel {
         course_sha256: None,
+        rule: collected.scene.rule(),
         layout: &layout,
         sha256: collected.scene.model_sha256(),
         mujoco_version: harness_simulation::mujoco_version(),

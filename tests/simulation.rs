@@ -22,6 +22,8 @@ mod finger;
 mod flow;
 #[path = "simulation/integrators.rs"]
 mod integrators;
+#[path = "simulation/meaning.rs"]
+mod meaning;
 #[path = "simulation/parts.rs"]
 mod parts;
 #[path = "simulation/placement.rs"]

@@ -44,6 +44,7 @@ pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
         sha256: scene.model_sha256(),
         mujoco_version: mujoco_version(),
         course_sha256: scene.course_sha256(),
+        rule: scene.rule(),
     };
     Dataset::new(root, scene.world(), model, spec)
 }

@@ -38,6 +38,8 @@ pub struct CompiledModel<'a> {
     pub mujoco_version: &'a str,
     /// SHA-256 of the recorded course that the setpoints follow, in hexadecimal; `None` without one.
     pub course_sha256: Option<&'a str>,
+    /// The rules by which the model is simulated and recorded; `None` if they are the first ones.
+    pub rule: Option<u32>,
 }
 
 impl Dataset {
@@ -62,6 +64,9 @@ impl Dataset {
             |factor: &Factor| [Property::GeomFriction, Property::GeomSize].contains(&factor.property().0);
         if world.factors(&spec).any(|(_, factor)| is_of_rule(factor)) {
             description["factor_rule"] = json!(2);
+        }
+        if let Some(rule) = model.rule {
+            description["model_rule"] = json!(rule);
         }
         if let Some(course) = model.course_sha256 {
             description["course_sha256"] = json!(course);

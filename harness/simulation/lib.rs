@@ -11,6 +11,7 @@ mod course;
 mod draft;
 mod episode;
 mod factors;
+mod features;
 mod flow;
 mod joints;
 mod live;

@@ -2,18 +2,21 @@
 
 use super::SimulationError;
 use super::camera::{SampleTime, time_rendering};
+use super::features::features;
 use super::flow::unrendered;
 use super::joints::{ball_and_free, described, is_single, touches, word};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading, is_pinhole, name_of};
 use super::scene::Scene;
-use harness_spec::{Definition, Posed};
+use harness_spec::{Definition, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 
 /// Largest number of names in a note.
 const NAMES_SHOWN: usize = 10;
+/// How far a hinge (rad) or a slide (m) of a settled robot may move in a sample.
+const STILL: f64 = 1e-3;
 /// How many times as long as the fastest rendering the model's own must take to be worth a note.
 const SLOW: f64 = 1.5;
 
@@ -39,6 +42,8 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
     notes.extend(integrator(scene));
     notes.extend(several_units(scene));
     notes.extend(unlimited(scene));
+    notes.extend(features(scene));
+    notes.extend(unsettled(scene, &spec)?);
     notes.extend(unrecorded_bodies(scene));
     notes.extend(unrecorded_forces(scene));
     notes.extend(unrendered_geoms(scene, data));
@@ -87,6 +92,41 @@ fn unlimited(scene: &Scene) -> Vec<String> {
         )
     })
     .collect()
+}
+
+/// The hinges and slides that move although the setpoints do not.
+fn unsettled(scene: &Scene, spec: &Simulation) -> Result<Option<String>, SimulationError> {
+    let mut physics = Physics::new(scene, spec)?;
+    let plan = EpisodePlan::draw(scene, spec, 0)?;
+    physics.start(&plan);
+    for _ in 0..2 {
+        if let Err(error) = physics.advance(|_, setpoint| plan.setpoint(0, setpoint)) {
+            return Ok(Some(format!("the simulation fails while the setpoints do not move: {error}")));
+        }
+    }
+    let (model, instant) = (&scene.model, &physics.instant);
+    let moved = |joint: &usize| {
+        let place = model.jnt_qposadr()[*joint] as usize;
+        (instant.state[place] - instant.state_before[place]).abs()
+    };
+    let joints = (0..model.njnt() as usize).filter(|joint| is_single(model, *joint));
+    let mut joints: Vec<usize> = joints.filter(|joint| moved(joint) > STILL).collect();
+    joints.sort_by(|one, other| moved(other).total_cmp(&moved(one)));
+    let Some(most) = joints.first() else { return Ok(None) };
+    let unit = if model.jnt_type()[*most] == MjtJoint::mjJNT_SLIDE { "m" } else { "rad" };
+    let name =
+        |joint: &usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).filter(|name| !name.is_empty());
+    let mut names: Vec<String> = joints.iter().filter_map(name).map(|name| format!("'{name}'")).collect();
+    match joints.len() - names.len() {
+        0 => {}
+        others => names.push(format!("{others} without a name")),
+    }
+    Ok(Some(format!(
+        "an episode does not start settled: with the first setpoints, the joints {} move by up to {:.2e} {unit} until \
+         the second sample",
+        listed(&names),
+        moved(most)
+    )))
 }
 
 /// The indices of the ball and free joints whose bodies are not placed at random.
@@ -163,7 +203,7 @@ fn slow_rendering(time: &SampleTime) -> Option<String> {
     (time.own_s > SLOW * plain).then_some(note)
 }
 
-fn listed(names: &[String]) -> String {
+pub(super) fn listed(names: &[String]) -> String {
     let more = names.len().saturating_sub(NAMES_SHOWN);
     let shown = names[..names.len() - more].join(", ");
     if more == 0 { shown } else { format!("{shown} and {more} more") }

@@ -6,19 +6,19 @@ use harness_spec::{Modality, Simulation, World};
 use mujoco_rs::prelude::*;
 use std::ops::ControlFlow;
 
-fn scene(model: &str, world: &str) -> Result<Scene, String> {
+pub(super) fn scene(model: &str, world: &str) -> Result<Scene, String> {
     let text = format!("model: robot.xml\nstep_rate_hz: 500\nsample_rate_hz: 10\n{world}");
     let world =
         World::parse("robot.yaml", Some("".into()), "robot", &text).map_err(|error| error.to_string())?;
     Scene::from_xml(world.into(), model, "robot.xml".into()).map_err(|error| error.to_string())
 }
 
-fn run(scene: &Scene, actuations: u32) -> Episode {
+pub(super) fn run(scene: &Scene, actuations: u32) -> Episode {
     let spec = Simulation { actuations_per_episode: actuations, ..scene.world().simulation() };
     Simulator::new(scene, &spec).unwrap().run(0, &mut || ControlFlow::Continue(())).unwrap()
 }
 
-fn vector<'e>(episode: &'e Episode, name: &str) -> &'e [f32] {
+pub(super) fn vector<'e>(episode: &'e Episode, name: &str) -> &'e [f32] {
     episode.vector(Modality::new(name).unwrap())
 }
 
