@@ -136,7 +136,12 @@ fn the_program_finds_mujoco_in_its_own_folder() {
         bytes[place..place + mujoco.len()].fill(b'x');
     }
     fs::write(folder.path().join("bytes"), bytes).unwrap();
-    let shell = |line: &str| Command::new("sh").args(["-c", line]).current_dir(&folder).output().unwrap();
+    let shell = |line: &str| {
+        let mut command = Command::new("sh");
+        // The loader searches the folders of this variable first.
+        let command = command.args(["-c", line]).env_remove("LD_LIBRARY_PATH").current_dir(&folder);
+        command.output().unwrap()
+    };
     // A child process writes the program; see `common::write_script`.
     shell("cp bytes harness && chmod +x harness");
     let version = || shell("./harness --version");
