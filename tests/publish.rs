@@ -52,6 +52,23 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
+fn a_copy_of_a_copy_is_complete() {
+    let (copy, again) = (fresh("published_twice"), fresh("published_again"));
+    let of_seed = |seed: &str| {
+        let to = ["--output", copy.to_str().unwrap(), "--where", seed];
+        succeed(&RESULTS, &[&["publish", "smoke"][..], &to].concat());
+    };
+    // Each call keeps the single samples of its lowest seed.
+    of_seed("seed=5");
+    of_seed("seed=3");
+    succeed(&copy, &["publish", "smoke", "--output", again.to_str().unwrap()]);
+    assert_eq!(files(&copy.join("runs")).len(), files(&again.join("runs")).len());
+    let frames = "select count(*) as n, count(distinct run) as runs from frames";
+    assert_eq!(csv(&again, frames), csv(&copy, frames));
+    assert!(csv(&copy, frames).ends_with(",4\n"), "{}", csv(&copy, frames));
+}
+
+#[test]
 fn a_published_registry_answers_all_but_single_samples_the_same() {
     let copy = fresh("published");
     assert!(publish(&copy).starts_with("6 runs, "));

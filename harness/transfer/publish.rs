@@ -58,8 +58,8 @@ impl Content<'_> {
 ///
 /// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
 /// joints and links and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
-/// images are copied. The forces are copied of one run for each dataset, reading and role. A run of the same cell and
-/// seed that was published before is replaced, unless it is one of `chosen` too.
+/// images are copied. The forces are copied of one run for each dataset, reading and role. Of a published copy, all rows
+/// are copied. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
 ///
 /// # Errors
 /// When `to` is the same registry or has such a run that is not a published copy, a process works on a copy, or a file
@@ -161,6 +161,8 @@ impl Shown {
     fn keep(&self, table: Table, record: &RunRecord, rows: DataFrame) -> PolarsResult<DataFrame> {
         let is_lowest_seed = self.seeds.get(&cell(record)) == Some(&seeds(record));
         match table {
+            // A published copy has only what was kept before.
+            _ if record.published => Ok(rows),
             Table::Predictions | Table::AllPredictions if is_lowest_seed => {
                 let is_last = record.layout.modalities.iter().map(|definition| {
                     let last = definition.last_elements().into_iter().map(|index| index as i64);
