@@ -41,4 +41,5 @@ mod tables;
 mod tags;
 mod terminal;
 mod value;
+mod versions;
 mod worlds;

@@ -123,9 +123,11 @@ fn no_line_is_wider_than_the_terminal() {
         &["show", "cluttered"],
         &["show", "cluttered", "--all"],
         &["diff", "empty", "cluttered"],
+        &["diff", "empty", "cluttered", "--all"],
         &["compare"],
         &["compare", "--by", "scenario", "--metrics", "r2,rmse,relative_error_finger"],
         &["claims"],
+        &["claims", "--all"],
         &["query", "select * from runs"],
         &["query", "select * from metrics"],
         &["query", "select experiment, run, status, seed from runs"],
@@ -392,7 +394,7 @@ fn runs_are_listed_in_one_line_each() {
 #[test]
 fn a_verdict_is_on_the_line_of_its_scenario_and_value() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let beside = ["--results", "results/reference", "claims"];
+    let beside = ["--results", "results/reference", "claims", "--all"];
     // Runs with a chosen setting are those of the claims' own experiments.
     let all = [&beside[..], &["--where", "action=increment"]].concat();
     let one = [&all[..], &["forces_are_distal"]].concat();
@@ -419,14 +421,16 @@ fn metrics_that_are_the_same_in_two_runs_are_not_listed() {
         folder.path(),
         &["run", smoke, "scenarios=[empty]", "latent=[2,4]", "tasks=[prediction]"],
     );
-    let said = on_terminal(FOLDER.path(), 80, &["--results", results, "diff", "empty-z2", "empty-z4"]);
+    let said =
+        on_terminal(FOLDER.path(), 80, &["--results", results, "diff", "--all", "empty-z2", "empty-z4"]);
     // Four metrics in each of two directions, and over both: overall and on the ground. Two without a contact. Those of
     // the baselines are equal.
     assert_eq!(said.matches("\ncontact force ").count(), 3 * (4 + 4 + 2), "{said}");
     let same =
         "the same in both: prediction of persistence, prediction of ridge, prediction of training mean";
     assert!(said.replace('\n', " ").contains(same), "{said}");
-    let itself = on_terminal(FOLDER.path(), 80, &["--results", results, "diff", "empty-z2", "empty-z2"]);
+    let itself =
+        on_terminal(FOLDER.path(), 80, &["--results", results, "diff", "--all", "empty-z2", "empty-z2"]);
     let same = "no metric differs; the same in both: prediction of network, prediction of persistence, ";
     assert!(itself.replace('\n', " ").contains(same), "{itself}");
 

@@ -74,6 +74,19 @@ pub enum AnalysisError {
         /// The names of the experiments that have finished runs.
         there: Vec<String>,
     },
+    /// All finished runs of an experiment are in a version of their world that does not count.
+    #[error(
+        "the finished runs of '{experiment}' that were chosen are in another version of the world {world} than the \
+         one that counts; run the experiment again, or select the version with --where {experiment}:world={version}"
+    )]
+    Outdated {
+        /// The name of the experiment.
+        experiment: String,
+        /// The name of the world.
+        world: String,
+        /// The version of one of the runs.
+        version: String,
+    },
     /// No finished run of an experiment has the requested settings.
     #[error(
         "no finished run of '{experiment}' has {}; its finished runs have {}",
@@ -194,6 +207,8 @@ pub struct Analysis {
     registry: Registry,
     selection: Selection,
     experiments: BTreeMap<String, Experiment>,
+    /// By experiment, the last of the runs that are left out because their world has changed since.
+    outdated: BTreeMap<String, RunRecord>,
     /// Messages about the runs that were left out.
     notes: Vec<String>,
     /// The rows that the expected queries see, by table and experiment.
@@ -243,7 +258,19 @@ impl Analysis {
                 && (!selection.simulated || matches!(record.spec.scenario, Origin::Simulated(_)))
                 && (record.spec.trained().is_some() || !selection.trained.contains(&record.experiment))
         };
+        let outdated = registry.outdated(&recorded);
+        // A version that is asked for counts.
+        let is_chosen = |record: &RunRecord| {
+            let mut of_world = selection.settings.iter().filter(|setting| setting.is_of_world());
+            of_world.any(|setting| setting.is_about(&record.experiment))
+        };
         let recorded = recorded.into_par_iter().filter(|(_, record)| is_wanted(record));
+        let (left_out, recorded): (Vec<_>, Vec<_>) =
+            recorded.partition(|(_, record)| outdated.has(record) && !is_chosen(record));
+        let mut left_out: Vec<RunRecord> = left_out.into_iter().map(|(_, record)| record).collect();
+        left_out.sort_by(|a, b| a.started.cmp(&b.started));
+        registry.leave_out_outdated(&outdated, &left_out);
+        let recorded = recorded.into_par_iter();
         let with_settings = recorded.map(|(folder, record)| {
             let settings = Arc::new(settings::of(&record));
             Run { record, folder, settings }
@@ -264,6 +291,7 @@ impl Analysis {
             registry: registry.clone(),
             selection: selection.clone(),
             experiments,
+            outdated: left_out.into_iter().map(|record| (record.experiment.clone(), record)).collect(),
             notes,
             tables: Mutex::default(),
             expected: Expected::default(),
@@ -363,6 +391,12 @@ impl Analysis {
         names.into_iter().collect()
     }
 
+    /// The specs of all finished runs of an experiment, also of those that were not selected.
+    pub fn finished_specs(&self, experiment: &str) -> Vec<RunSpec> {
+        let is_own = |record: &RunRecord| record.status == Status::Done && record.experiment == experiment;
+        self.registry.records().into_iter().filter(is_own).map(|record| record.spec).collect()
+    }
+
     /// Why no run of an experiment counts.
     pub fn nothing_of(&self, experiment: &str) -> AnalysisError {
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(experiment));
@@ -371,6 +405,13 @@ impl Analysis {
         // Records are read only if settings may be the reason.
         let records = if wanted.is_empty() { Vec::new() } else { self.registry.records() };
         let own: Vec<Settings> = records.iter().filter(is_own).map(settings::of).collect();
+        if let Some(record) = self.outdated.get(experiment) {
+            return AnalysisError::Outdated {
+                experiment: experiment.to_owned(),
+                world: record.spec.scenario.name().to_owned(),
+                version: record.world_version(),
+            };
+        }
         if own.is_empty() {
             let (wanted, there) = (experiment.to_owned(), self.all_finished());
             return AnalysisError::NothingFinished { wanted, there };

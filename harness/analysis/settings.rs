@@ -1,6 +1,6 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
-use harness_registry::{Recorded, RunRecord, leaves, quoted};
+use harness_registry::{Recorded, RunRecord, UNKNOWN, leaves, quoted};
 use harness_shared::numbers::by_value;
 use harness_spec::{Layout, RunSpec, setting_value};
 use rayon::prelude::*;
@@ -11,10 +11,16 @@ use std::str::FromStr;
 
 /// The key of the dataset's folder, which is not a setting of the spec.
 pub(super) const DATASET: &str = "dataset";
+/// The key of the version of the world, which is not a setting of the spec.
+const WORLD: &str = "world";
 /// The key of the method's revision, which is not a setting of the spec.
 const REVISION: &str = "revision";
+/// The key of the scenario.
+const SCENARIO: &str = "scenario";
+/// The key of the size of the latent state, which models of other programs lack.
+const LATENT: &str = "latent";
 /// The keys in which the runs of an experiment may always differ.
-const OF_CELLS: [&str; 4] = ["scenario", "latent", "seed", "simulation.seed"];
+const OF_CELLS: [&str; 4] = [SCENARIO, LATENT, "seed", "simulation.seed"];
 /// The key of the settings that an experiment varies.
 pub(super) const VARIANT: &str = "variant";
 /// The name of an external model, which only runs of external models have.
@@ -39,6 +45,9 @@ pub(super) type Settings = BTreeMap<String, String>;
 pub(super) fn of(record: &RunRecord) -> Settings {
     let mut settings = of_spec(&record.spec, &record.layout);
     settings.insert(DATASET.to_owned(), record.dataset.clone());
+    if record.spec.simulation.is_some() {
+        settings.insert(WORLD.to_owned(), record.world_version());
+    }
     if let Some(revision) = record.revision() {
         settings.insert(REVISION.to_owned(), revision.to_string());
     }
@@ -126,31 +135,27 @@ impl fmt::Display for Difference {
 ///
 /// Some settings are compared only between runs that have them: those of the simulation, which runs on imported data
 /// lack, those of a network, which external models lack, the scaling, losses and loss weights of modalities, which runs
-/// that do not use the modality lack, and those of convolutions, which runs without images lack. Datasets of different
-/// scenarios or simulation settings are no difference. Two datasets with the same scenario and simulation settings are
-/// one, because then the world, its model or MuJoCo differs.
+/// that do not use the modality lack, and those of convolutions, which runs without images lack. Different worlds and
+/// datasets of different scenarios or simulation settings are no difference. Two datasets with the same scenario and
+/// simulation settings are one, because then the world, its model or MuJoCo differs. So are two versions of a world.
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let varied = varied(runs);
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    for key in varied.iter().filter(|key| !OF_CELLS.contains(key) && ![DATASET, REVISION].contains(key)) {
+    let is_of_spec = |key: &&&str| !OF_CELLS.contains(key) && ![DATASET, WORLD, REVISION].contains(key);
+    for key in varied.iter().filter(is_of_spec) {
         values.insert(key, concerned(runs, key).map(|run| value(run, key)).collect());
     }
-    let mut datasets: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
-    if varied.contains(DATASET) {
-        let of_dataset = |key: &&&str| **key == "scenario" || key.starts_with(SIMULATION);
-        let keys: Vec<&str> = varied.iter().filter(of_dataset).copied().collect();
-        for run in runs {
-            let own = keys.iter().map(|key| value(run, key)).collect();
-            datasets.entry(own).or_default().insert(value(run, DATASET));
+    let mut of_dataset = vec![SCENARIO];
+    of_dataset.extend(varied.iter().filter(|key| key.starts_with(SIMULATION)));
+    for (key, from) in [(DATASET, &of_dataset[..]), (WORLD, &[SCENARIO])] {
+        if varied.contains(key) && !values.contains_key(DATASET) && !follows(runs, key, from) {
+            values.insert(key, concerned(runs, key).map(|run| value(run, key)).collect());
         }
-    }
-    if datasets.values().any(|names| names.len() > 1) {
-        values.insert(DATASET, datasets.into_values().flatten().collect());
     }
     let differing = values.into_iter().filter(|(_, values)| values.len() > 1);
     let difference = |(key, values)| {
         let in_variant = key == VARIANT || is_in_variant(runs, key);
-        let of_scenario = key.starts_with(SIMULATION) && follows_from_scenario(runs, key);
+        let of_scenario = key.starts_with(SIMULATION) && follows(runs, key, &[SCENARIO]);
         Difference { key: key.to_owned(), values: sorted(values), in_variant, of_scenario }
     };
     differing.map(difference).collect()
@@ -172,12 +177,12 @@ fn varied<'a>(runs: &[&'a Settings]) -> BTreeSet<&'a str> {
     varied
 }
 
-/// Whether all runs in the same scenario have the same value of a setting.
-fn follows_from_scenario(runs: &[&Settings], key: &str) -> bool {
-    let mut values: BTreeMap<&str, &str> = BTreeMap::new();
+/// Whether all runs with the same values of the settings `from` have the same value of another one.
+fn follows(runs: &[&Settings], key: &str, from: &[&str]) -> bool {
+    let mut values: BTreeMap<Vec<&str>, &str> = BTreeMap::new();
     concerned(runs, key).all(|run| {
         let own = value(run, key);
-        *values.entry(value(run, "scenario")).or_insert(own) == own
+        *values.entry(from.iter().map(|key| value(run, key)).collect()).or_insert(own) == own
     })
 }
 
@@ -189,6 +194,7 @@ fn concerned<'a>(runs: &[&'a Settings], key: &str) -> impl Iterator<Item = &'a S
 /// Whether a run is compared with others by a setting.
 pub(super) fn concerns(run: &Settings, key: &str) -> bool {
     match key {
+        WORLD => run.get(WORLD).is_some_and(|version| version != UNKNOWN),
         key if key.starts_with(SIMULATION) => is_simulated(run),
         key if key == MODEL
             || OF_IMAGES.contains(&key)
@@ -289,6 +295,19 @@ impl Setting {
         self.experiment.as_ref().is_none_or(|name| name == experiment)
     }
 
+    /// Whether the setting selects a version of a world, or a dataset.
+    pub(crate) fn is_of_world(&self) -> bool {
+        [WORLD, DATASET].contains(&self.key.as_str())
+    }
+
+    /// Whether a run has the setting, or can't have it, because the setting is one of a network and the run's model
+    /// comes from another program.
+    fn admits(&self, run: &Settings) -> bool {
+        let is_of_network =
+            self.key == LATENT || OF_NETWORKS.iter().any(|section| self.key.starts_with(section));
+        is_of_network && run.contains_key(MODEL) || self.is_met_by(run)
+    }
+
     /// Whether a run has the setting. The value is written as in a spec, and compared by what it means: 0.5 is 5e-1,
     /// and a list with one item is the item.
     pub(super) fn is_met_by(&self, run: &Settings) -> bool {
@@ -324,5 +343,5 @@ pub fn has_settings(run: &RunRecord, wanted: &[Setting]) -> bool {
 /// Like [`has_settings`], for a run of this experiment with these settings.
 pub(super) fn meets(wanted: &[Setting], experiment: &str, run: &Settings) -> bool {
     let about = || wanted.iter().filter(|setting| setting.is_about(experiment));
-    about().all(|setting| about().any(|other| other.key == setting.key && other.is_met_by(run)))
+    about().all(|setting| about().any(|other| other.key == setting.key && other.admits(run)))
 }

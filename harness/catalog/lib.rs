@@ -34,7 +34,23 @@ pub const OVERALL: &str = "index is null and (direction is null or direction lik
 /// When the SQL is invalid or not supported, names a table or column that does not exist, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    query_of(registry, |_| true, sql)
+    let query = Query::parse(sql)?;
+    let answer = query_of(registry, |_| true, sql)?;
+    let tells_apart = query.names().contains("world_version");
+    let recorded = if tells_apart { Vec::new() } else { registry.recorded() };
+    let seen = recorded.iter().map(|(_, record)| record).filter(|record| sees(&query, record));
+    registry.mention_outdated(&registry.outdated(&recorded), seen);
+    Ok(answer)
+}
+
+/// Whether a query may see rows of a run.
+fn sees(query: &Query, record: &RunRecord) -> bool {
+    let of_runs = Table::ALL.into_iter().filter(|table| *table != Table::Episodes);
+    let mut conditions = of_runs.flat_map(|table| conditions(query, table));
+    conditions.any(|condition| {
+        let allows = |key: &str, own: &String| condition.get(key).is_none_or(|texts| texts.contains(own));
+        allows("experiment", &record.experiment) && allows("run", &record.run)
+    })
 }
 
 /// Answers one statement of SQL over only those runs for which `is_wanted` returns true.

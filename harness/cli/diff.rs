@@ -6,10 +6,14 @@ use super::table::{print_text, print_texts, width};
 use anyhow::Result;
 use clap::Args;
 use harness::analysis::differing;
-use harness::catalog::{query_of, rows};
+use harness::catalog::{OVERALL, query_of, rows};
+use harness::dataset::world_parts;
+use harness::judge::models;
 use harness::metrics::{best, rounded};
+use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
 
 #[derive(Args)]
@@ -18,28 +22,118 @@ pub struct Diff {
     a: String,
     /// The other run
     b: String,
+    /// Also print the versions of the program and the machine, every difference of the worlds, and every metric, those
+    /// of baselines too
+    #[arg(long)]
+    all: bool,
 }
 
 impl Diff {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let ((_, a), (_, b)) = (registry.find(&self.a)?, registry.find(&self.b)?);
         println!("a  {}\nb  {}\n", a.name(), b.name());
-        let differences = differing(&a, &b);
-        if differences.is_empty() {
-            println!("no setting, version or machine differs");
-        } else {
-            let rows = differences.into_iter().map(|(key, a, b)| [key, a, b]);
-            print_texts(["differs", "a", "b"], rows.collect());
-        }
-        let sheet = metrics(registry, &a, &b)?;
+        self.print_settings(&a, &b);
+        self.print_worlds(registry, &a, &b);
+        let sheet = metrics(registry, &a, &b, self.all)?;
         println!();
         match (sheet.rows.is_empty(), sheet.notes.first()) {
-            (false, _) => print!("{}", sheet.render(Style::Text, width())),
+            (false, _) => {
+                print!("{}", sheet.render(Style::Text, width()));
+                if !self.all {
+                    print_text("--all prints everything that differs");
+                }
+            }
             (true, Some(same)) => print_text(&format!("no metric differs; {same}")),
             (true, None) => println!("neither of the runs has metrics"),
         }
         Ok(ExitCode::from(DONE))
     }
+
+    fn print_settings(&self, a: &RunRecord, b: &RunRecord) {
+        let differences = differing(a, b);
+        let is_shown = |key: &str| self.all || !is_of_program(key);
+        let all = differences.len();
+        let rows = differences.into_iter().filter(|(key, ..)| is_shown(key)).map(|(key, a, b)| [key, a, b]);
+        let rows: Vec<[String; 3]> = rows.collect();
+        match (rows.is_empty(), all) {
+            (false, _) => print_texts(["differs", "a", "b"], rows),
+            (true, 0) => println!("no setting, version or machine differs"),
+            (true, _) => println!("no setting differs"),
+        }
+    }
+
+    /// Prints what differs between the worlds of the two runs, if their versions differ.
+    fn print_worlds(&self, registry: &Registry, a: &RunRecord, b: &RunRecord) {
+        let is_simulated = |run: &RunRecord| run.spec.simulation.is_some();
+        if !is_simulated(a) || !is_simulated(b) || a.provenance.world == b.provenance.world {
+            return;
+        }
+        let [of_a, of_b] = [a, b].map(|run| world_parts(&registry.datasets().join(&run.dataset)));
+        println!();
+        if of_a.is_empty() || of_b.is_empty() {
+            let run = if of_a.is_empty() { "a" } else { "b" };
+            return print_text(&format!(
+                "the worlds differ; the dataset of {run}, which has its world, is gone"
+            ));
+        }
+        let keys: BTreeSet<&String> = of_a.keys().chain(of_b.keys()).collect();
+        let value = |of: &BTreeMap<String, String>, key: &String| {
+            of.get(key).cloned().unwrap_or_else(|| MISSING.into())
+        };
+        let rows = keys.into_iter().map(|key| (key, value(&of_a, key), value(&of_b, key)));
+        let rows = rows.filter(|(_, a, b)| a != b).map(|(key, a, b)| {
+            let [a, b] = differing_words(&a, &b);
+            [key.clone(), a, b]
+        });
+        let mut rows: Vec<[String; 3]> = rows.collect();
+        let more = if self.all { 0 } else { rows.len().saturating_sub(MOST_PARTS) };
+        rows.truncate(rows.len() - more);
+        if rows.is_empty() {
+            return print_text(
+                "the worlds differ in what their datasets do not have: in the model, if earlier versions collected \
+                 them, or in digits that MJCF rounds",
+            );
+        }
+        print_texts(["in the world", "a", "b"], rows);
+        if more > 0 {
+            print_text(&format!("{} more differ in the world; --all prints them", counted(more, "part")));
+        }
+    }
+}
+
+/// The number of differences of worlds that are printed without `--all`.
+const MOST_PARTS: usize = 12;
+/// The number of words that a list must have so that only those that differ are printed.
+const LONG: usize = 5;
+
+/// Whether a key is one of the program, its versions or the machine, or a hash of a part of the world.
+fn is_of_program(key: &str) -> bool {
+    const OF_PROGRAM: [&str; 8] = [
+        "candle_version",
+        "git_commit",
+        "git_dirty",
+        "harness_version",
+        "host",
+        "mujoco_version",
+        "processor",
+        "threads",
+    ];
+    OF_PROGRAM.contains(&key) || key.starts_with("world.")
+}
+
+/// Two texts or, if they are long lists of words, the words that differ with their places, counted from 1.
+fn differing_words(a: &str, b: &str) -> [String; 2] {
+    let (of_a, of_b): (Vec<&str>, Vec<&str>) =
+        (a.split_whitespace().collect(), b.split_whitespace().collect());
+    if of_a.len() < LONG || of_a.len() != of_b.len() {
+        return [a.to_owned(), b.to_owned()];
+    }
+    let differing: Vec<usize> = (0..of_a.len()).filter(|place| of_a[*place] != of_b[*place]).collect();
+    let words = |of: &[&str]| {
+        let words = differing.iter().map(|place| format!("{} (number {})", of[*place], place + 1));
+        words.collect::<Vec<_>>().join(", ")
+    };
+    [words(&of_a), words(&of_b)]
 }
 
 /// A metric of both runs.
@@ -56,7 +150,16 @@ struct Row {
 }
 
 /// The metrics of two runs side by side.
-fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord) -> Result<Sheet> {
+///
+/// Without `all`, they are the usual metrics of the networks or models of other programs.
+fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Result<Sheet> {
+    let chosen = match all {
+        true => "index is null".to_owned(),
+        false => format!(
+            "{OVERALL} and model = '{}' and metric in ('smape', 'wmape', 'r2', 'relative_error')",
+            models::NETWORK
+        ),
+    };
     let of = |run: &RunRecord| {
         let own = format!("experiment = '{}' and run = '{}'", run.experiment, run.run);
         format!("max(case when {own} then value end)")
@@ -66,7 +169,7 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord) -> Result<Sheet> {
         registry,
         |record| names.contains(&record.name()),
         &format!(
-            "select task, model, modality, direction, metric, unit, {} as a, {} as b from metrics where index is null \
+            "select task, model, modality, direction, metric, unit, {} as a, {} as b from metrics where {chosen} \
              group by task, model, modality, direction, metric, unit \
              order by task, model, modality, direction, metric",
             of(a),

@@ -301,14 +301,10 @@ fn print_everything(registry: &Registry, folder: &RunFolder, record: &RunRecord)
     Ok(())
 }
 
-/// The SQL condition for rows of a run. Runs of two experiments have the same id if their specs are equal.
-fn is_run(record: &RunRecord) -> String {
-    format!("experiment = '{}' and run = '{}'", record.experiment, record.run)
-}
-
 /// The columns of `runs` with their values for a run. A missing value is empty.
 fn row(registry: &Registry, record: &RunRecord) -> Result<Vec<(String, String)>> {
-    let runs = catalog::query(registry, &format!("select * from runs where {}", is_run(record)))?;
+    let recorded = (registry.folder_of(record).path().to_owned(), record.clone());
+    let runs = catalog::query_recorded(registry, &[recorded], "select * from runs")?;
     let value =
         |value: AnyValue| if value.is_null() { String::new() } else { value.str_value().into_owned() };
     let columns = runs.columns().iter();

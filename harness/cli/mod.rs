@@ -41,7 +41,7 @@ use harness::catalog::QueryError;
 use harness::claims::ClaimsError;
 use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
-use harness::experiment::{ExperimentError, ModelError, RolloutError, describe};
+use harness::experiment::{ExperimentError, ModelError, RolloutError, describe, results as results_folder};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::registry::{Registry, RegistryError, quoted};
@@ -231,7 +231,8 @@ Datasets are not removed. `harness gc` removes those that no run uses.")]
   harness gc --only quick --only failed --yes
 
 The command first lists what it would remove, with the size and one of these reasons. superseded: a later run has the \
-same settings and the same world, but another dataset or another revision of the method. failed: the run failed. \
+same settings and the same world, but another dataset or another revision of the method. world: the world has changed \
+since, so that the run does not count. failed: the run failed. \
 quick: the run was made with --quick. unused: no remaining run uses the simulated dataset. unfinished: a killed \
 process left it. Imported datasets are never removed.")]
     Gc(removal::Gc),
@@ -461,7 +462,7 @@ pub fn main(arguments: Vec<OsString>, program: Vec<String>) -> ExitCode {
     let threads = arguments.threads.map_or_else(all_threads, usize::from);
     // This fails only if the global pool exists already, and this is its first use.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-    let registry = Registry::new(&arguments.results);
+    let registry = results_folder(&arguments.results);
     let outcome = execute(arguments.command, &registry, threads, &program);
     for left_out in registry.left_out() {
         eprintln!("warning: {left_out}");

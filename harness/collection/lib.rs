@@ -72,9 +72,13 @@ pub fn check_missing<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Res
 ///
 /// # Errors
 /// When the folder can't be locked or written, or the caller cancels.
-pub fn claim(dataset: &Dataset, progress: &dyn Progress) -> Result<(FolderLock, Vec<u32>), DatasetError> {
+pub fn claim(
+    dataset: &Dataset,
+    scene: &Scene,
+    progress: &dyn Progress,
+) -> Result<(FolderLock, Vec<u32>), DatasetError> {
     let lock = lock(dataset, FolderLock::attempt, progress)?;
-    dataset.describe()?;
+    dataset.describe(|| scene.mjcf())?;
     Ok((lock, dataset.to_make(progress)))
 }
 
@@ -92,7 +96,7 @@ pub fn collect(
     threads: usize,
     progress: &dyn Progress,
 ) -> Result<usize, CollectionError> {
-    let (_lock, missing) = claim(dataset, progress)?;
+    let (_lock, missing) = claim(dataset, scene, progress)?;
     make(dataset, scene, &missing, threads, progress)
 }
 
@@ -140,7 +144,7 @@ fn share(
     progress: &dyn Progress,
 ) -> Result<(usize, usize), CollectionError> {
     let _lock = lock(dataset, FolderLock::attempt_shared, progress)?;
-    dataset.describe()?;
+    dataset.describe(|| scene.mjcf())?;
     let missing = dataset.to_make(progress);
     let of_shard = |episode: &u32| shard.contains(first + *episode as usize);
     let own: Vec<u32> = missing.iter().copied().filter(of_shard).collect();

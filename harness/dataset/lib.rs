@@ -7,12 +7,14 @@ mod episode_file;
 mod imported;
 mod store;
 mod verify;
+mod version;
 
 pub use any::AnyDataset;
 pub use description::layout_of;
 pub use imported::Imported;
-pub use store::{CompiledModel, Dataset};
+pub use store::{CompiledModel, Dataset, MODEL};
 pub use verify::{Inspection, inspect, is_lock};
+pub use version::{WorldVersion, world_parts};
 
 use harness_samples::FramesError;
 use harness_shared::files::{LockError, WriteError};

@@ -3,6 +3,7 @@
 use super::DatasetError;
 use super::description::{Description, FORMAT, identify};
 use super::episode_file::{episode_file, open_episode, push_all, read_episode};
+use super::version::WorldVersion;
 use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
@@ -14,6 +15,9 @@ use rayon::prelude::*;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// The file with the compiled model of a simulated dataset, as MJCF. Datasets of earlier versions lack it.
+pub const MODEL: &str = "model.xml";
 
 /// A simulated dataset on disk.
 #[derive(Debug, Clone)]
@@ -181,13 +185,26 @@ impl Dataset {
         }
     }
 
-    /// Writes the dataset's description to its folder.
+    /// Returns the version of the world that the episodes are simulated in.
+    pub fn world_version(&self) -> WorldVersion {
+        WorldVersion::of(&self.description)
+    }
+
+    /// Writes the dataset's description to its folder and, if it is not there, the compiled model as MJCF, which
+    /// `mjcf` returns if it can be written. Only people and `harness diff` read the model.
     ///
     /// # Errors
-    /// When the file can't be written.
-    pub fn describe(&self) -> Result<(), DatasetError> {
+    /// When a file can't be written.
+    pub fn describe(&self, mjcf: impl FnOnce() -> Option<String>) -> Result<(), DatasetError> {
         let text = format!("{:#}\n", self.description);
-        Ok(write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?)
+        write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?;
+        let path = self.folder.join(MODEL);
+        if !path.exists()
+            && let Some(mjcf) = mjcf()
+        {
+            write_bytes(&path, mjcf.as_bytes())?;
+        }
+        Ok(())
     }
 
     /// Writes one episode to its file.

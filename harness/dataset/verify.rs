@@ -3,6 +3,7 @@
 use super::DatasetError;
 use super::description::Description;
 use super::episode_file::{episode_file, open_episode};
+use super::store::MODEL;
 use harness_shared::files::{UNFINISHED, sorted};
 use harness_spec::Simulation;
 use harness_tables::{TableError, TableFile};
@@ -109,7 +110,7 @@ enum Checked {
     Whole(u32),
     /// A damaged episode, with its index and the problem.
     Damaged(u32, String),
-    /// The description, or a lock.
+    /// The description, the model, or a lock.
     Known,
     /// Any other file.
     Unknown,
@@ -118,7 +119,8 @@ enum Checked {
 fn check(path: &Path, dataset: &str, lengths: Option<&Lengths>) -> Checked {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some(index) = episode_index(&name) else {
-        return if name == Description::FILE || is_lock(&name) { Checked::Known } else { Checked::Unknown };
+        let is_known = [Description::FILE, MODEL].contains(&&*name) || is_lock(&name);
+        return if is_known { Checked::Known } else { Checked::Unknown };
     };
     let opened = match lengths.map(|lengths| lengths.samples(index)) {
         Some(Some(samples)) => open_episode(path, dataset, index, samples).map(drop),

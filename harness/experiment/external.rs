@@ -5,7 +5,7 @@ use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
-use harness_registry::{Outcome, Provenance, Registry, RunFolder, RunRecord, Status, Submission, Timings};
+use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings};
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
 use harness_shared::progress::Progress;
@@ -457,7 +457,7 @@ impl Runner<'_> {
         if let Some(record) = judged_before(self.registry, &folder, &submission)? {
             return Ok(JudgedRun { record, was_done: true });
         }
-        let provenance = Provenance { world_file: task.task.source.world_file(), ..self.provenance.clone() };
+        let provenance = task.task.source.provenance(self.provenance);
         let record = claimed.begin(&spec, task.samples().layout(), &provenance)?;
         let record = RunRecord { submission: Some(submission.clone()), ..record };
         let attach = || match (&network, &submission.network) {

@@ -8,6 +8,7 @@ mod rollout;
 mod schedule;
 mod search;
 mod simulator;
+mod worlds;
 
 pub use export::{NetworkFile, attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
@@ -16,6 +17,7 @@ pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};
 pub use simulator::SimulatorError;
+pub use worlds::results;
 
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
@@ -207,6 +209,15 @@ impl Source {
     /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
     fn world_file(&self) -> Option<PathBuf> {
         self.scene.as_ref().and_then(|scene| scene.world().path())
+    }
+
+    /// Returns the provenance of a run on these samples.
+    fn provenance(&self, by: &Provenance) -> Provenance {
+        let world = match &self.dataset {
+            AnyDataset::Simulated(dataset) => Some(dataset.world_version()),
+            AnyDataset::Imported(_) => None,
+        };
+        Provenance { world_file: self.world_file(), world, ..by.clone() }
     }
 
     /// Returns the world if its files have changed since it was read.

@@ -354,7 +354,7 @@ impl WorkerPool<'_> {
             }
             _ => {}
         }
-        let provenance = Provenance { world_file: planned.source.world_file(), ..self.provenance.clone() };
+        let provenance = planned.source.provenance(&self.provenance);
         let record = claimed.begin(spec, planned.layout(), &provenance)?;
         let record = RunRecord { place: planned.place, ..record };
         planned.earlier().any(|earlier| claimed.take_state(earlier, Task::Prediction));

@@ -3,11 +3,15 @@
 use super::mark::Mark;
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, RunFolder, Status};
+use harness_dataset::WorldVersion;
 use harness_shared::files::{FolderLock, folders, sorted};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The versions of the worlds of datasets that were read so far.
+type Versions = Mutex<HashMap<String, Option<WorldVersion>>>;
 
 /// A run's folder and its record.
 pub type Recorded = (PathBuf, RunRecord);
@@ -106,7 +110,8 @@ impl Registry {
 
     /// The records in these folders. Those that can't be used are left out.
     pub(super) fn read(&self, folders: Vec<PathBuf>) -> Vec<Recorded> {
-        let read = folders.into_par_iter().map(|folder| (self.read_run(&folder), folder));
+        let versions = Mutex::default();
+        let read = folders.into_par_iter().map(|folder| (self.read_versioned(&folder, &versions), folder));
         let read: Vec<_> = read.collect();
         let kept = read.into_iter().filter_map(|(record, folder)| match record {
             Ok(record) => Some((folder, record?)),
@@ -116,6 +121,19 @@ impl Registry {
             }
         });
         kept.collect()
+    }
+
+    /// The record in a run's folder. The version of its world, which earlier versions of the program did not record, is
+    /// that of its dataset.
+    fn read_versioned(&self, folder: &Path, known: &Versions) -> Result<Option<RunRecord>, RegistryError> {
+        let Some(mut record) = self.read_run(folder)? else { return Ok(None) };
+        if record.provenance.world.is_none() && record.spec.simulation.is_some() {
+            let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+            let version = known.entry(record.dataset.clone());
+            let read = || WorldVersion::in_folder(&self.datasets().join(&record.dataset));
+            record.provenance.world = version.or_insert_with(read).clone();
+        }
+        Ok(Some(record))
     }
 
     /// The record in a run's folder, or `None` if the run has not started. A record that says `running` is returned as

@@ -3,7 +3,7 @@
 //! A run's folder is named after a hash of everything that determines its result, so a run is found by its spec.
 //!
 //! ```text
-//! results/datasets/<scenario>-<hash>/episode_00000.parquet …
+//! results/datasets/<scenario>-<hash>/dataset.json, model.xml, episode_00000.parquet …
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
 //!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
@@ -28,6 +28,7 @@ mod provenance;
 mod record;
 mod tags;
 mod verify;
+mod worlds;
 
 pub use claimed::Claimed;
 pub use command_line::quoted;
@@ -43,6 +44,7 @@ pub use record::{
 };
 pub use tags::{Tags, check_tag, tags_of};
 pub use verify::{Finding, Report};
+pub use worlds::{DatasetsNow, Outdated, UNKNOWN};
 
 use checks::Checks;
 use harness_shared::files::{FolderLock, WriteError, folders};
@@ -104,6 +106,7 @@ pub struct Registry {
     root: PathBuf,
     /// The runs and datasets that have been left out so far, by path, each with the reason.
     left_out: Arc<Mutex<BTreeMap<PathBuf, String>>>,
+    datasets_now: Option<DatasetsNow>,
 }
 
 /// The runs of an experiment that have a folder, for [`Registry::decide`].
@@ -126,7 +129,7 @@ pub struct RunFolder {
 impl Registry {
     /// The results folder `root`, which need not exist yet.
     pub fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into(), left_out: Arc::default() }
+        Self { root: root.into(), left_out: Arc::default(), datasets_now: None }
     }
 
     /// Path of the results folder.

@@ -1,5 +1,6 @@
 //! Provenance of results: source tree, versions, machine, command.
 
+use harness_dataset::WorldVersion;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::process::Command;
@@ -52,6 +53,10 @@ pub struct Provenance {
     /// earlier versions. Two world files in different folders may have the same name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world_file: Option<PathBuf>,
+    /// The version of the run's world. `None` for an imported dataset, and in records of earlier versions whose dataset
+    /// is gone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world: Option<WorldVersion>,
     /// The command, quoted for a shell. A run's record has the command that makes only this run.
     pub command: String,
 }
@@ -77,6 +82,7 @@ impl Provenance {
             processor: system.cpus().first().map(|cpu| cpu.brand().to_owned()).unwrap_or_default(),
             threads,
             world_file: None,
+            world: None,
             command,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity};
+use harness_dataset::WorldVersion;
 use harness_judge::{FrameRow, MetricRow, PredictionRow, is_usual};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
@@ -543,6 +544,7 @@ pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
         column_of(records, "spec_hash", |run| run.spec_hash.as_str()),
         column_of(records, "dataset", |run| run.dataset.as_str()),
         column_of(records, "dataset_seed", |run| run.spec.simulation.as_ref().map(|of| of.seed as i64)),
+        column_of(records, "world_version", |run| run.provenance.world.as_ref().map(WorldVersion::id)),
         column_of(records, "reading", |run| run.spec.reading()),
         column_of(records, "role", |run| run.spec.role()),
         column_of(records, "split", |run| run.spec.split.by.name()),

@@ -38,12 +38,15 @@ pub struct Curves {
 /// # Errors
 /// When a table can't be read.
 pub fn curves(registry: &Registry, asked: &Asked) -> Result<Vec<Curves>, QueryError> {
+    let recorded = registry.recorded();
+    let outdated = registry.outdated(&recorded);
     let is_shown = |run: &RunRecord| {
         run.status == Status::Done
+            && !outdated.has(run)
             && asked.has_run(run)
             && (run.spec.reading().is_none() || !asked.experiments.is_empty())
     };
-    let runs: Vec<RunRecord> = registry.records().into_iter().filter(is_shown).collect();
+    let runs = recorded.into_iter().map(|(_, run)| run).filter(is_shown).collect::<Vec<_>>();
     let kept = epochs_kept(&runs);
     let mut curves = Vec::new();
     for runs in runs.chunk_by(|a, b| a.experiment == b.experiment) {

@@ -206,8 +206,8 @@ pub fn settings(version: u128, runs: &[Recorded]) -> String {
 
 /// The metrics of an experiment's networks beside those of baselines, as `harness compare` shows them.
 pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Result<Answer, Failure> {
-    let own = runs.iter().filter(|(_, record)| record.experiment == experiment).cloned().collect();
-    let analysis = Analysis::of(registry, own, &Selection::default())?;
+    let selection = Selection { experiments: vec![experiment.to_owned()], ..Selection::default() };
+    let analysis = Analysis::of(registry, runs.to_vec(), &selection)?;
     let means = analysis.means()?;
     if means.is_empty() {
         return Err(Failure::Unknown(format!("finished run of {experiment}")));

@@ -153,7 +153,7 @@ impl Site {
         if request.method == "POST" && path == "/api/sql" {
             let runs = self.lock().recorded();
             // A registry never forgets what it has left out, so each query has its own.
-            let registry = Registry::new(self.registry.root());
+            let registry = self.registry.anew();
             return answers::sql(&registry, &runs, &String::from_utf8_lossy(&request.body));
         }
         if request.method != "GET" {

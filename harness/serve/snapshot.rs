@@ -51,7 +51,7 @@ impl Snapshot {
             return;
         }
         // A registry never forgets what it has left out, so each look has its own.
-        let registry = Registry::new(self.registry.root());
+        let registry = self.registry.anew();
         let changed = registry.refresh(&mut self.memory);
         let (tags, problem) = match registry.tags() {
             Ok(tags) => (tags, None),

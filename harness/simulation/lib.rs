@@ -16,6 +16,7 @@ mod flow;
 mod joints;
 mod live;
 mod load;
+mod mjcf;
 mod motion;
 mod noise;
 mod notes;

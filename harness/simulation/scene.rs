@@ -85,11 +85,11 @@ impl Scene {
                     .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
                 forget_assets();
                 let model = load_file(&path)?;
-                // The compiled model contains the content of other files. MJCF refers to them by attributes that begin
-                // with `file`, such as `file` and `fileright`. A comment with that word does no harm.
-                let stands_alone = !xml.contains("file");
-                let sha256 =
-                    if stands_alone { digest(xml.as_bytes()) } else { digest_of_model(&name, &model)? };
+                // The compiled model contains the content of other files.
+                let sha256 = match stands_alone(&xml) {
+                    true => digest(xml.as_bytes()),
+                    false => digest_of_model(&name, &model)?,
+                };
                 Self::of_model(world, model, xml, sha256, name)
             }
         }
@@ -464,7 +464,13 @@ fn at_rest<M: ModelType>(model: M, keyframe: Option<usize>) -> MjData<M> {
     data
 }
 
-fn digest(bytes: &[u8]) -> String {
+/// Whether MJCF refers to no other file. It refers to them by attributes that begin with `file`, such as `file` and
+/// `fileright`. A comment with that word does no harm.
+pub(super) fn stands_alone(xml: &str) -> bool {
+    !xml.contains("file")
+}
+
+pub(super) fn digest(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 

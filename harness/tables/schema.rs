@@ -185,6 +185,7 @@ fn run_details() -> Vec<Column> {
         ),
         text("dataset", "the dataset's folder"),
         integer("dataset_seed", "seed of the dataset; null if it was imported"),
+        text("world_version", "version of the simulated world; null if it was imported, or is not known"),
         text("reading", "the reading of the paper; null if the experiment has none"),
         text("role", "the experiment that the run counts for; null if it is the run's own"),
         text(

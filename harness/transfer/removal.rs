@@ -13,6 +13,8 @@ pub enum Garbage {
     /// A later run of the same experiment has the same settings and the same world, but another dataset or revision of
     /// the method.
     Superseded,
+    /// The run was made in another version of its world than the one that counts.
+    World,
     /// The run failed.
     Failed,
     /// A run of `harness run --quick`.
@@ -25,12 +27,14 @@ pub enum Garbage {
 
 impl Garbage {
     /// Every reason.
-    pub const ALL: [Self; 5] = [Self::Superseded, Self::Failed, Self::Quick, Self::Unused, Self::Unfinished];
+    pub const ALL: [Self; 6] =
+        [Self::Superseded, Self::World, Self::Failed, Self::Quick, Self::Unused, Self::Unfinished];
 
     /// The reason in one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Superseded => "superseded",
+            Self::World => "world",
             Self::Failed => "failed",
             Self::Quick => "quick",
             Self::Unused => "unused",
@@ -103,6 +107,7 @@ pub fn usage(registry: &Registry) -> Vec<Usage> {
 pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
     let recorded = registry.recorded();
     let superseded = superseded(recorded.iter().map(|(_, record)| record));
+    let outdated = registry.outdated(&recorded);
     let mut found = Vec::new();
     let mut used = BTreeSet::new();
     for (folder, record) in &recorded {
@@ -110,6 +115,7 @@ pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removab
         let is_free = |_: &(Garbage, bool)| FolderLock::holder(folder).is_none();
         let reasons = [
             (Garbage::Superseded, superseded.contains(&record.name())),
+            (Garbage::World, outdated.has(record)),
             (Garbage::Failed, record.status == Status::Failed),
             (Garbage::Quick, is_quick(record)),
         ];

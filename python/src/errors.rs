@@ -92,7 +92,7 @@ impl Raise for AnalysisError {
     fn raise(self) -> PyErr {
         match self {
             Self::Query(error) => error.raise(),
-            Self::NothingFinished { .. } | Self::NothingChosen { .. } => {
+            Self::NothingFinished { .. } | Self::NothingChosen { .. } | Self::Outdated { .. } => {
                 PyKeyError::new_err(self.to_string())
             }
             _ => self.value_error(),

@@ -49,7 +49,7 @@ impl Model {
     #[new]
     #[pyo3(signature = (run, results=PathBuf::from("results")))]
     fn new(py: Python, run: &str, results: PathBuf) -> PyResult<Self> {
-        let registry = Registry::new(&results);
+        let registry = experiment::results(&results);
         registry.check_there().map_err(Raise::raise)?;
         let model = detached(py, || experiment::Model::load(&registry, run))?.map_err(Raise::raise)?;
         Ok(Self { model, results: std::path::absolute(&results).unwrap_or(results) })
@@ -189,7 +189,7 @@ impl Model {
 /// Returns the task, the path and the description, as JSON, of each network of a run; see `harness.load_network`.
 #[pyfunction]
 pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'static str, PathBuf, String)>> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     let found = detached(py, || experiment::network_files(&registry, run))?.map_err(Raise::raise)?;
     Ok(found.into_iter().map(|file| (file.task.name(), file.path, file.description.json())).collect())
@@ -199,7 +199,7 @@ pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'stat
 /// copies have one only if it was published with them, and a folder that is missing has no runs.
 #[pyfunction]
 pub fn may_have_network(py: Python, run: &str, results: PathBuf) -> PyResult<bool> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     detached(py, || experiment::may_have_network(&registry, run))
 }
 
@@ -207,7 +207,7 @@ pub fn may_have_network(py: Python, run: &str, results: PathBuf) -> PyResult<boo
 /// network. See `harness.load_network`.
 #[pyfunction]
 pub fn attached(py: Python, run: &str, results: PathBuf) -> PyResult<Option<PathBuf>> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     detached(py, || experiment::attached(&registry, run))?.map_err(Raise::raise)
 }
@@ -219,7 +219,7 @@ pub fn export_onnx(py: Python, run: &str, output: PathBuf, task: &str, results: 
         let message = format!("task: there is no '{task}'; allowed: prediction, reconstruction");
         return Err(PyValueError::new_err(message));
     };
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     let bytes = detached(py, || experiment::onnx(&registry, run, task))?.map_err(Raise::raise)?;
     let written = files::write_whole(&output, |path| std::fs::write(path, &bytes));

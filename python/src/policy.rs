@@ -88,7 +88,7 @@ impl PolicyDataset {
     fn claim(&self, py: Python) -> PyResult<Vec<u32>> {
         let cancelled = AtomicBool::new(false);
         let listener = Listener::new(self.progress, &cancelled);
-        let wait = || claim(&self.dataset, &listener);
+        let wait = || claim(&self.dataset, self.scene, &listener);
         let claimed = interruptible(py, wait, || cancelled.store(true, Ordering::Relaxed))?;
         let (lock, missing) = claimed.map_err(Raise::raise)?;
         if !missing.is_empty() {

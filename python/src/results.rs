@@ -6,7 +6,7 @@ use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Key};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
-use harness::experiment::describe;
+use harness::experiment::{self, describe};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::judge::models;
@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Returns a results folder that exists.
 fn existing(results: PathBuf) -> PyResult<Registry> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     Ok(registry)
 }

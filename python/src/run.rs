@@ -5,7 +5,7 @@ use crate::work::interruptible;
 use harness::analysis::{self, Setting};
 use harness::catalog;
 use harness::cli::progress::Bars;
-use harness::experiment::{ExperimentError, Runner, provenance};
+use harness::experiment::{self, ExperimentError, Runner, provenance};
 use harness::progress::{Progress, Silent};
 use harness::registry::{Registry, quoted};
 use harness::spec;
@@ -27,7 +27,7 @@ pub fn settings_of(texts: &[String]) -> PyResult<Vec<Setting>> {
 
 /// Opens a results folder that can be written.
 pub fn writable(results: PathBuf) -> PyResult<Registry> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_writable().map_err(|error| PyOSError::new_err(error.to_string()))?;
     Ok(registry)
 }
@@ -131,7 +131,7 @@ impl Progress for Listener<'_> {
 /// Answers a query; see `harness.query`.
 #[pyfunction]
 pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     let answer = interruptible(py, || catalog::query(&registry, sql), || ())?;
     let answer = answer.map_err(Raise::raise)?;
@@ -148,7 +148,7 @@ pub fn compare(
     results: PathBuf,
 ) -> PyResult<Table> {
     let settings = settings_of(&settings)?;
-    let registry = Registry::new(results);
+    let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     let means = interruptible(py, || analysis::compare(&registry, &experiments, &settings), || ())?;
     let means = means.map_err(Raise::raise)?;

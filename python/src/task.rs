@@ -6,7 +6,7 @@ use crate::errors::Raise;
 use crate::run::{Listener, warn};
 use crate::work::interruptible;
 use harness::experiment::{
-    ExperimentError, External, OpenTask, PredictionTask, Predictions, Runner, provenance,
+    self, ExperimentError, External, OpenTask, PredictionTask, Predictions, Runner, provenance,
 };
 use harness::registry::{Registry, quoted};
 use harness::samples::Samples;
@@ -53,7 +53,7 @@ impl Task {
             Some(text) => spec::parse_task(&path.to_string_lossy(), &text),
             None => spec::load_task(&path, &overrides, quick),
         };
-        let (experiment, registry) = (experiment.map_err(Raise::raise)?, Registry::new(results));
+        let (experiment, registry) = (experiment.map_err(Raise::raise)?, experiment::results(results));
         let cancelled = AtomicBool::new(false);
         let listener = Listener::new(progress, &cancelled);
         let threads = rayon::current_num_threads();
