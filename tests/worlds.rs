@@ -578,6 +578,21 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
 }
 
 #[test]
+fn a_check_of_many_values_is_short() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/touch_grid.xml");
+    fs::copy(grid, folder.path().join("grid.xml")).unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    succeed(folder.path(), &["world", "new", &path("grid.xml")]);
+    let check =
+        |option: &[&str]| succeed(folder.path(), &[&["world", "check", &path("grid.yaml")], option].concat());
+    // 7 x 7 taxels with three values each.
+    let (short, all) = (check(&[]), check(&["--all"]));
+    assert!(short.contains("147 values: ") && short.contains("(147 names; --all prints them)"), "{short}");
+    assert!(!all.contains("--all") && all.len() > 2 * short.len(), "{all}");
+}
+
+#[test]
 fn a_check_notes_hidden_geoms_slow_rendering_and_rk4() {
     let folder = tempfile::tempdir().unwrap();
     let model = r#"<mujoco><option integrator="RK4"/><visual></visual><worldbody><light pos="0 0 3"/>

@@ -31,6 +31,9 @@ enum Action {
         /// A folder for a picture of every camera of the model, and for the images that networks get
         #[arg(long, value_name = "DIR")]
         render: Option<PathBuf>,
+        /// Also print the names of all values of a modality with many, and of all elements of its groups
+        #[arg(long)]
+        all: bool,
     },
     /// Write a first world file for an MJCF model
     New {
@@ -69,12 +72,12 @@ impl Command {
                 };
                 print_beside(World::built_in().iter().map(named));
             }
-            Action::Check { world, render } => {
+            Action::Check { world, render, all } => {
                 let world = World::find(&world)?;
                 world.check_rates()?;
                 let scene = Scene::new(world)?;
                 scene.check_starts()?;
-                check(&scene)?;
+                check(&scene, all)?;
                 if let Some(folder) = render {
                     render_cameras(&scene, &folder)?;
                 }
@@ -106,17 +109,17 @@ impl Command {
     }
 }
 
-fn check(scene: &Scene) -> Result<()> {
+fn check(scene: &Scene, all: bool) -> Result<()> {
+    let names = |names: Vec<String>| listed(&names, all);
     let (world, layout) = (scene.world(), scene.layout());
     print_text(&format!("{}: {}", world.scenario(), world.description()));
     let mut entries = vec![("model".to_owned(), scene.source().to_string())];
     for definition in &layout.modalities {
-        entries.push((definition.name.to_string(), describe(definition)));
+        entries.push((definition.name.to_string(), describe(definition, &names)));
         for group in &definition.groups {
             let elements = definition.elements();
-            let names: Vec<&str> =
-                group.elements.iter().map(|index| elements[*index].name.as_str()).collect();
-            entries.push((format!("  group {}", group.name), names.join(", ")));
+            let own = group.elements.iter().map(|index| elements[*index].name.clone()).collect();
+            entries.push((format!("  group {}", group.name), names(own)));
         }
     }
     for (name, setting) in world.settings() {
@@ -124,7 +127,8 @@ fn check(scene: &Scene) -> Result<()> {
         entries.push((format!("simulation.{name}"), setting.replace(',', ", ")));
     }
     for (name, property, drawing, elements) in scene.factors() {
-        entries.push((format!("factor {name}"), format!("{property}, {drawing}: {}", elements.join(", "))));
+        let elements = names(elements.into_iter().map(str::to_owned).collect());
+        entries.push((format!("factor {name}"), format!("{property}, {drawing}: {elements}")));
     }
     entries.extend(scene.course_summary().map(|course| ("course".to_owned(), course)));
     let notes = notes(scene)?;
@@ -164,7 +168,22 @@ fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-fn describe(definition: &Definition) -> String {
+/// Names with commas between them. Unless `all`, only the first and the last of many are written.
+fn listed(names: &[String], all: bool) -> String {
+    /// The number of names that are always written.
+    const MOST: usize = 40;
+    /// The number of names that are written of more.
+    const FIRST: usize = 3;
+    match names {
+        [first @ .., last] if !all && names.len() > MOST => {
+            let first = first[..FIRST].join(", ");
+            format!("{first}, …, {last} ({} names; --all prints them)", names.len())
+        }
+        _ => names.join(", "),
+    }
+}
+
+fn describe(definition: &Definition, listed: &dyn Fn(Vec<String>) -> String) -> String {
     let of = definition.difference_of.map(|of| format!("change of {of}: ")).unwrap_or_default();
     match definition.size() {
         Some([rows, columns]) => format!("{of}{} of {rows} x {columns} pixels", definition.shows()),
@@ -176,7 +195,7 @@ fn describe(definition: &Definition) -> String {
             };
             let names: Vec<String> = elements.iter().map(element).collect();
             let what = if definition.name == Modality::SETPOINT { "the action: " } else { "" };
-            format!("{what}{of}{}: {}", counted(names.len(), "value"), names.join(", "))
+            format!("{what}{of}{}: {}", counted(names.len(), "value"), listed(names))
         }
     }
 }
