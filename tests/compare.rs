@@ -319,6 +319,23 @@ fn no_number_or_arrow_of_a_comparison_is_broken_at_any_width() {
     }
 }
 
+/// Each of the networks' inputs has its own ridge regression.
+#[test]
+fn many_columns_of_a_text_are_rows() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let print = |option: &[&str]| succeed(&reference, &[&["compare", "memory"][..], option].concat());
+    let (short, all) = (print(&[]), print(&["--all"]));
+    assert!(short.lines().all(|line| line.chars().count() < 170 || line.contains("; ")), "{short}");
+    let part = |text: &str| text.split("cluttered, latent 64\n").nth(1).unwrap().to_owned();
+    let row =
+        |text: &str| part(text).lines().find(|line| line.starts_with("all_senses ")).unwrap().to_owned();
+    // R2 of the force, which has the last column, as in docs/memory.md.
+    assert!(row(&short).ends_with(" 0.726 ± 0.040") && row(&all).ends_with(" 0.726 ± 0.040"), "{short}");
+    assert!(part(&short).contains("* the best of its column"), "{short}");
+    assert!(!short.contains("\nridge, ") && short.contains("; ridge of each column is left out"), "{short}");
+    assert!(all.contains("\nridge, all_senses ") && !all.contains("left out"), "{all}");
+}
+
 #[test]
 fn all_formats_say_the_same() {
     let arguments = ["compare", "--by", "scenario,latent", "--task", "prediction", "--metrics", "r2,rmse"];

@@ -4,7 +4,7 @@ use super::DONE;
 use super::format::{Destination, Form};
 use super::plot::key;
 use super::results::BY_UNIT;
-use super::sheet::{Sheet, Style};
+use super::sheet::{MOST_COLUMNS, Sheet, Style};
 use super::table::width;
 use anyhow::Result;
 use clap::Args;
@@ -68,6 +68,9 @@ pub struct Compare {
     /// Use only runs with this setting, for example training.epochs=200; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
+    /// In a text with many columns, also show the baselines that differ between columns, such as ridge for each input
+    #[arg(long)]
+    all: bool,
     #[command(flatten)]
     to: Destination,
 }
@@ -201,6 +204,9 @@ impl Compare {
             comparison.notes.push(LAST_HORIZON.to_owned());
         }
         comparison.notes.extend(analysis.notes().iter().cloned());
+        if style == Style::Text && !self.all {
+            comparison.leave_out_baselines();
+        }
         print!("{}", comparison.sheet(style).render(style, width()));
         Ok(ExitCode::from(DONE))
     }
@@ -347,6 +353,25 @@ impl<'a> Printed<'a> {
         self.base = Some(side);
         self.notes.push(format!("the other columns have the differences from {base}, of runs {pairs}"));
         Ok(())
+    }
+
+    /// Leaves out the baselines that have a column beside each of many columns of networks.
+    fn leave_out_baselines(&mut self) {
+        let sides = self.table.sides();
+        let is_left_out = |side: &Side| side.baseline.is_some() && side.place != Place::default();
+        let names: BTreeSet<String> = sides
+            .iter()
+            .filter(|side| is_left_out(side))
+            .filter_map(|side| Some(side.baseline.as_ref()?.replace('_', " ")))
+            .collect();
+        if sides.len() <= MOST_COLUMNS || names.is_empty() || self.base.is_some() {
+            return;
+        }
+        self.table.values.retain(|(_, side), _| !is_left_out(side));
+        let shown: BTreeSet<Subject> = self.table.values.keys().map(|(subject, _)| subject.clone()).collect();
+        self.table.units.retain(|subject, _| shown.contains(subject));
+        let names = names.into_iter().collect::<Vec<_>>().join(" and ");
+        self.notes.push(format!("{names} of each column is left out, and --all shows it"));
     }
 
     /// The values of all rows and columns.

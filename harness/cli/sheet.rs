@@ -5,6 +5,8 @@ use super::table::{Grid, HARD_SPACE, beside, fitted, unbroken};
 use harness::metrics::{higher_is_better, label};
 use textwrap::core::display_width;
 
+/// The number of columns of a text from which on columns become rows, if these are fewer.
+pub const MOST_COLUMNS: usize = 12;
 /// A number that a run lacks.
 pub const MISSING: &str = "-";
 
@@ -74,7 +76,8 @@ impl Sheet {
         let note = notes.map(String::as_str).collect::<Vec<_>>().join("; ");
         match style {
             Style::Text => {
-                let best = if self.marked { "* the best of its row; " } else { "" };
+                let of = if self.is_turned() { "column" } else { "row" };
+                let best = if self.marked { format!("* the best of its {of}; ") } else { String::new() };
                 let note = format!("{note}; {best}↑ higher is better, ↓ lower is better");
                 let legend = beside(self.legend.iter().cloned(), limit);
                 let note = fitted(note.trim_start_matches("; "), limit);
@@ -117,7 +120,8 @@ impl Sheet {
     /// A table for each title. If one of them is too wide, all rows become blocks.
     fn text(&self, limit: Option<u16>) -> String {
         let parts = self.rows.chunk_by(|(a, _), (b, _)| a[..self.titles] == b[..self.titles]);
-        let parts: Vec<(String, Grid)> = parts.map(|rows| (self.title(rows), self.grid(rows))).collect();
+        let grid = |rows| if self.is_turned() { self.turned(rows) } else { self.grid(rows) };
+        let parts: Vec<(String, Grid)> = parts.map(|rows| (self.title(rows), grid(rows))).collect();
         match limit {
             Some(limit) if parts.iter().any(|(_, grid)| !grid.fits(limit)) => self.blocks(limit),
             _ => {
@@ -145,6 +149,26 @@ impl Sheet {
         let rows = rows.iter().map(|(words, numbers)| [&words[self.titles..], &of_used(numbers)].concat());
         let right = (0..header.len()).map(|column| column >= words).collect();
         Grid { rows: rows.collect(), header, right, ..Grid::default() }
+    }
+
+    /// Whether columns are rows in a text, because there are many columns, and more than rows with the same title.
+    fn is_turned(&self) -> bool {
+        let mut parts = self.rows.chunk_by(|(a, _), (b, _)| a[..self.titles] == b[..self.titles]);
+        self.header.len() > MOST_COLUMNS && parts.all(|rows| rows.len() < self.header.len())
+    }
+
+    /// The table of rows with the same title, with a row for each column that is not empty in them.
+    fn turned(&self, rows: &[(Vec<String>, Vec<String>)]) -> Grid {
+        let names = rows.iter().map(|(words, _)| words[self.titles..].join(" "));
+        let header: Vec<String> = std::iter::once(String::new()).chain(names).collect();
+        let row = |(column, name): (usize, &String)| {
+            let numbers = rows.iter().map(|(_, numbers)| numbers[column].clone());
+            std::iter::once(name.clone()).chain(numbers).collect::<Vec<_>>()
+        };
+        let all = self.header.iter().enumerate().map(row);
+        let used = all.filter(|row| row[1..].iter().any(|number| !number.is_empty()));
+        let right = (0..header.len()).map(|column| column > 0).collect();
+        Grid { rows: used.collect(), header, right, ..Grid::default() }
     }
 
     /// A block for each row, with a line for each number. The numbers are aligned.
