@@ -416,11 +416,11 @@ fn runs_of_other_settings_are_refused_and_chosen_by_name() {
     });
     let refused = "the runs of single_to_multi differ in training.batch_size (16, 1024); select some, for example with \
                    `--where 'single_to_multi:training.batch_size=1024'`\n";
-    let printed = succeed(folder.path(), &["claims"]);
+    let printed = succeed(folder.path(), &["claims", "--all"]);
     assert!(printed.contains("settings differ") && printed.contains(refused), "{printed}");
     // The options in the message work as they are printed.
     let option = ["--where", "single_to_multi:training.batch_size=1024"];
-    let chosen = succeed(folder.path(), &[&["claims"][..], &option].concat());
+    let chosen = succeed(folder.path(), &[&["claims", "--all"][..], &option].concat());
     let summary = format!(" 0 do not hold, {OF_DATASETS} undecided, 0 not testable; ");
     assert!(chosen.contains(&summary), "{chosen}");
     // Only five runs have the other batch size, which is enough only for claims about forces.
@@ -706,7 +706,7 @@ fn a_correction_for_many_claims_stands_beside_the_verdicts() {
         .zip(corrected(&judged))
         .filter(|(one, p)| is_decided(one) && p.is_some_and(|p| p >= 0.05));
     let unsure = unsure.count();
-    let printed = succeed(folder.path(), &["claims"]);
+    let printed = succeed(folder.path(), &["claims", "--all"]);
     assert_eq!(printed.matches("holds *").count() + printed.matches("hold *").count(), unsure, "{printed}");
     assert!(
         unsure > 0 && printed.contains(&format!("* {unsure} of these verdicts are undecided after Holm"))
@@ -784,7 +784,7 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
         (Some("recommended"), Some("multi_to_multi")) => Opposite,
         _ => Same,
     });
-    let printed = succeed(folder.path(), &["claims"]);
+    let printed = succeed(folder.path(), &["claims", "--all"]);
     let header = printed.lines().find(|line| line.contains("condition")).unwrap();
     let at = ["base", "recommended", "own experiments"].map(|name| header.find(name).unwrap());
     assert!(at.is_sorted(), "{header}");
@@ -807,8 +807,18 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
     assert!(csv.contains("\nrecommended,vision_improves_force_r2,"), "{csv}");
     assert!(csv.contains("\nown experiments,vision_improves_force_r2,"), "{csv}");
     // A choice of settings and a plan are about the claims' own experiments.
-    let own = succeed(folder.path(), &["claims", "--where", "action=increment"]);
+    let own = succeed(folder.path(), &["claims", "--all", "--where", "action=increment"]);
     assert!(own.contains("vision_improves_force_r2") && !own.contains("recommended"), "{own}");
+    // Settings of the experiment with the readings choose among its runs.
+    let of_paper = succeed(folder.path(), &["claims", "--all", "--where", "paper:simulation.seed=0"]);
+    let row = of_paper.split("──\n").find(|row| row.contains("vision_improves_force_r2")).unwrap();
+    assert!(row.contains("n = 1") && !row.contains("n = 2"), "{row}");
+    // Without --all, the counts come first, and each claim has a line.
+    let short = succeed(folder.path(), &["claims"]);
+    assert!(short.starts_with("base: ") && short.lines().count() < 80, "{short}");
+    let line = short.lines().find(|line| line.starts_with("vision_improves_force_r2 ")).unwrap();
+    let words: Vec<&str> = line.split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
+    assert_eq!(words[1..], ["holds", "does not hold", "holds"], "{short}");
 }
 
 #[test]
@@ -822,7 +832,7 @@ fn a_reading_without_runs_has_no_column() {
         _ => &[64],
     };
     write_paper(&registry, sizes, |_| Same);
-    let printed = succeed(folder.path(), &["claims"]);
+    let printed = succeed(folder.path(), &["claims", "--all"]);
     let header = printed.lines().find(|line| line.contains("condition")).unwrap();
     assert!(header.contains("recommended") && !header.contains("base"), "{header}");
     let csv = succeed(folder.path(), &["claims", "vision_improves_force_r2", "--format", "csv"]);
@@ -1499,7 +1509,7 @@ fn a_name_that_no_run_has_is_named_with_those_that_there_are() {
 #[test]
 fn the_command_prints_every_claim_with_its_verdict() {
     let (folder, _registry) = results(&[0, 1, 2], |_| Same);
-    let printed = succeed(folder.path(), &["claims"]);
+    let printed = succeed(folder.path(), &["claims", "--all"]);
     for claim in CLAIMS.iter() {
         assert!(printed.contains(claim.id()), "{} is not in {printed}", claim.id());
     }

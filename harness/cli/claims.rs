@@ -3,7 +3,7 @@
 use super::DONE;
 use super::format::{Destination, Form, print_page};
 use super::sheet::Style;
-use super::table::{Grid, LINE, fitted, print_command, print_text, shown, width};
+use super::table::{Grid, LINE, fitted, print_command, print_grid, print_text, shown, width};
 use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
@@ -41,6 +41,9 @@ pub struct Claims {
     /// Print how many more datasets or seeds would decide the undecided claims, with the commands that run them
     #[arg(long, conflicts_with_all = ["readings", "format", "output"])]
     plan: bool,
+    /// Print statements, values and requirements of many claims as well, and how often links are touched
+    #[arg(long)]
+    all: bool,
     #[command(flatten)]
     to: Destination,
 }
@@ -55,16 +58,20 @@ impl Claims {
             return self.execute_readings(registry, path, &chosen, form);
         }
         let recorded = registry.recorded();
-        let runs = claims::runs_of(registry, recorded.clone(), &chosen, &self.settings, self.quick)?;
-        // A plan is about the claims' own experiments, and so are chosen settings.
-        let is_about_all = !self.plan && self.settings.is_empty();
-        if let Some(spec) = file.spec_of_readings(registry, self.quick)?.filter(|_| is_about_all) {
-            let readings = Readings::of(registry, recorded, &spec, &chosen, &[])?;
+        let spec = file.spec_of_readings(registry, self.quick)?;
+        // A plan is about the claims' own experiments, and so are settings that name no other experiment.
+        let is_of_spec = |setting: &&Setting| {
+            spec.as_ref().is_some_and(|spec| setting.experiment.as_ref() == Some(&spec.name))
+        };
+        let (of_spec, own): (Vec<Setting>, Vec<Setting>) =
+            self.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
+        let runs = claims::runs_of(registry, recorded.clone(), &chosen, &own, self.quick)?;
+        let is_about_all = !self.plan && (own.is_empty() || !of_spec.is_empty());
+        if let Some(spec) = spec.as_ref().filter(|_| is_about_all) {
+            let readings = Readings::of(registry, recorded, spec, &chosen, &of_spec)?;
             if let Some(matrix) = readings.judge_beside(&chosen, &runs, self.quick)? {
-                return self.print_families(
-                    &Families { readings: &readings, spec: &spec, runs: &runs, matrix },
-                    form,
-                );
+                return self
+                    .print_families(&Families { readings: &readings, spec, runs: &runs, matrix }, form);
             }
         }
         let mut judged = Vec::new();
@@ -83,6 +90,12 @@ impl Claims {
             print_missing(&runs, &judgments, self.quick)?;
             return Ok(ExitCode::from(DONE));
         }
+        if self.is_short(&chosen) {
+            Self::print_short(&[("verdict", judgments.clone())]);
+            runs.notes().iter().for_each(|note| print_text(note));
+            print_missing(&runs, &judgments, self.quick)?;
+            return Ok(ExitCode::from(DONE));
+        }
         print(&judged);
         if !self.chosen.is_empty() {
             print_all_values(&judgments);
@@ -93,6 +106,46 @@ impl Claims {
         print_contacts(&runs, &self.experiments(&chosen))?;
         print_missing(&runs, &judgments, self.quick)?;
         Ok(ExitCode::from(DONE))
+    }
+
+    /// Whether only the verdicts are printed. Few claims are printed with their values.
+    fn is_short(&self, claims: &[&Claim]) -> bool {
+        /// The number of claims that fit on a page.
+        const FEW: usize = 8;
+        !self.all && self.chosen.is_empty() && claims.len() > FEW
+    }
+
+    /// Prints the counts, and a line with the verdicts on each claim. Each column has the judgments of a reading, of
+    /// the same claims and scenarios as the others.
+    fn print_short(columns: &[(&str, Vec<&Judgment>)]) {
+        for (name, judgments) in columns {
+            let name = if columns.len() > 1 { format!("{name}: ") } else { String::new() };
+            print_text(&format!("{name}{}", Counts::of(judgments)));
+            print_mixed(judgments);
+        }
+        println!();
+        let claims = |(_, judgments): &(&str, Vec<&Judgment>)| {
+            let of_claims = judgments.chunk_by(|a, b| a.claim.id() == b.claim.id());
+            of_claims
+                .map(|of_claim| (of_claim[0].claim.id().to_owned(), in_words(of_claim)))
+                .collect::<Vec<_>>()
+        };
+        let mut rows: Vec<Vec<String>> = Vec::new();
+        for (place, column) in columns.iter().map(claims).enumerate() {
+            for (row, (claim, words)) in column.into_iter().enumerate() {
+                if place == 0 {
+                    rows.push(vec![claim]);
+                }
+                rows[row].push(words);
+            }
+        }
+        let header: Vec<String> = std::iter::once("claim")
+            .chain(columns.iter().map(|(name, _)| *name))
+            .map(str::to_owned)
+            .collect();
+        print_grid(Grid { right: vec![false; header.len()], header, rows, ..Grid::default() });
+        println!();
+        print_text("--all prints the statements, values and requirements");
     }
 
     /// The experiments that claims name, as they are called in tables.
@@ -106,8 +159,13 @@ impl Claims {
         if !matches!(form, Form::Page(Style::Text)) {
             return write_matrix(matrix, form);
         }
-        print_beside(spec, matrix);
         let claims = matrix.claims();
+        let is_short = self.is_short(&claims);
+        if is_short {
+            Self::print_short(&matrix.columns().collect::<Vec<_>>());
+        } else {
+            print_beside(spec, matrix);
+        }
         if !self.chosen.is_empty() {
             for (name, judgments) in matrix.columns() {
                 println!("\n{name}:");
@@ -115,7 +173,9 @@ impl Claims {
             }
             print_queries(&claims, self.quick);
         }
-        print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
+        if !is_short {
+            print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
+        }
         let lacks_runs = |(name, judgments): (&str, Vec<&Judgment>)| {
             name != OWN && judgments.iter().any(|judgment| judgment.verdict() == Verdict::NoData)
         };
@@ -124,7 +184,7 @@ impl Claims {
             print_commands(readings.analysis(), std::iter::once(&name), self.quick);
         }
         let own = matrix.columns().find(|(name, _)| *name == OWN).map(|(_, judgments)| judgments);
-        if own.is_some() {
+        if own.is_some() && !is_short {
             print_contacts(runs, &self.experiments(&claims))?;
         }
         let own = own.unwrap_or_default();
@@ -535,6 +595,17 @@ fn print_values(of: &str, each: Each, values: &Values) {
     if !values.is_empty() {
         print_text(&format!("{of}: {}", values.join(", ")));
     }
+}
+
+/// The verdicts on a claim: one if all scenarios have the same, otherwise that of each.
+fn in_words(judgments: &[&Judgment]) -> String {
+    let verdicts: BTreeSet<String> =
+        judgments.iter().map(|judgment| judgment.verdict().to_string()).collect();
+    if verdicts.len() == 1 {
+        return verdicts.into_iter().collect();
+    }
+    let word = |judgment: &&Judgment| format!("{}: {}", scenario(judgment), judgment.verdict());
+    judgments.iter().map(word).collect::<Vec<_>>().join(", ")
 }
 
 /// Prints the scenarios and metrics of claims without data that no run has, with those that there are.
