@@ -117,7 +117,7 @@ pub enum FigureError {
          missing, or a table that earlier versions didn't write{}",
         root.display(),
         command.as_ref().map_or_else(String::new, |command| {
-            format!("; run `{command}`, in a new results folder if an earlier version made the runs")
+            format!("; `{command}` makes runs that have more")
         })
     )]
     NoRows {
@@ -127,7 +127,8 @@ pub enum FigureError {
         root: PathBuf,
         /// The scenarios, tasks and outputs of the runs.
         there: String,
-        /// The command that makes the experiment's runs. `None` if there is no spec of the experiment's name.
+        /// The command that makes runs with other scenarios, tasks or outputs. `None` if the experiment's spec asks for
+        /// none, or there is no spec of its name.
         command: Option<String>,
     },
     /// The runs differ in their settings and can't be shown in one figure.

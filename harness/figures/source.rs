@@ -2,9 +2,11 @@
 
 use super::FigureError;
 use harness_analysis::{Analysis, AnalysisError, Labels, Run, Setting};
-use harness_spec::{Experiment, Layout, Modality, Origin, QUICK};
+use harness_spec::{Experiment, Layout, Modality, Origin, QUICK, RunSpec};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 /// One of the paper's two experiments. Each has a spec of its name in `experiments/`.
@@ -249,11 +251,18 @@ pub(super) fn no_runs(analysis: &Analysis, experiment: &str) -> FigureError {
 }
 
 fn no_rows(analysis: &Analysis, experiment: &str) -> FigureError {
+    let (name, quick) = experiment.strip_suffix(QUICK).map_or((experiment, false), |name| (name, true));
+    // A command that makes the same runs again changes nothing.
+    let adds = |_: &String| {
+        let there = analysis.finished_specs(experiment);
+        let spec = harness_spec::load(Path::new(name), &[], quick);
+        spec.is_ok_and(|spec| !Contents::of(spec.runs().iter()).is_within(&Contents::of(there.iter())))
+    };
     FigureError::NoRows {
         experiment: experiment.to_owned(),
         root: analysis.root().to_owned(),
-        there: contents(analysis.runs(experiment)),
-        command: command(analysis, experiment),
+        there: Contents::of(analysis.runs(experiment).iter().map(|run| &run.record.spec)).to_string(),
+        command: command(analysis, experiment).filter(adds),
     }
 }
 
@@ -342,14 +351,34 @@ impl<'a> Runs<'a> {
     }
 }
 
-/// The scenarios, tasks and outputs of runs: `scenarios: empty; tasks: prediction; outputs: contact_force`.
-fn contents(runs: &[Run]) -> String {
-    let specs = || runs.iter().map(|run| &run.record.spec);
-    let listed = |values: BTreeSet<String>| Vec::from_iter(values).join(", ");
-    let scenarios = listed(specs().map(|spec| spec.scenario.to_string()).collect());
-    let tasks = listed(specs().flat_map(|spec| &spec.tasks).map(ToString::to_string).collect());
-    let outputs = listed(specs().flat_map(|spec| &spec.output).map(ToString::to_string).collect());
-    format!("scenarios: {scenarios}; tasks: {tasks}; outputs: {outputs}")
+/// The scenarios, tasks and outputs of runs.
+struct Contents([(&'static str, BTreeSet<String>); 3]);
+
+impl Contents {
+    fn of<'a>(specs: impl Iterator<Item = &'a RunSpec>) -> Self {
+        let mut all =
+            [("scenarios", BTreeSet::new()), ("tasks", BTreeSet::new()), ("outputs", BTreeSet::new())];
+        for spec in specs {
+            all[0].1.insert(spec.scenario.name().to_owned());
+            all[1].1.extend(spec.tasks.iter().map(ToString::to_string));
+            all[2].1.extend(spec.output.iter().map(ToString::to_string));
+        }
+        Self(all)
+    }
+
+    fn is_within(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).all(|((_, own), (_, others))| own.is_subset(others))
+    }
+}
+
+impl fmt::Display for Contents {
+    /// Writes `scenarios: empty; tasks: prediction; outputs: contact_force`.
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let listed =
+            |values: &BTreeSet<String>| values.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let parts = self.0.iter().map(|(name, values)| format!("{name}: {}", listed(values)));
+        f.write_str(&parts.collect::<Vec<_>>().join("; "))
+    }
 }
 
 /// The values of a column of text.
