@@ -1,6 +1,7 @@
 //! Runs of models of other programs: recorded, listed, compared and removed like runs that train a network.
 
 use crate::common::{SMOKE, finish, fresh, harness, smoke_run, succeed};
+use crate::figures::words_of;
 use harness::judge::{MetricRow, PredictionRow};
 use harness::metrics::evaluate;
 use harness::registry::{Outcome, Registry};
@@ -18,7 +19,8 @@ fn external(name: &str, seed: u64) -> RunSpec {
 /// Writes a finished run of an external model whose predictions of the contact force are wrong by `error`.
 fn write(results: &Path, spec: &RunSpec, error: f32) -> String {
     let registry = Registry::new(results);
-    let dataset = registry.records()[0].dataset.clone();
+    let mut records = registry.records().into_iter();
+    let dataset = records.find(|record| record.spec.scenario == spec.scenario).unwrap().dataset;
     let folder = registry.run("smoke", spec, &dataset);
     let run = registry.claim(&folder).unwrap().unwrap();
     let record =
@@ -92,6 +94,19 @@ fn commands_take_runs_of_external_models() {
     assert_eq!(answer, "architecture,without,runs\nmulti_to_multi,false,2\nmy_gru,true,2\nother,true,1\n");
     let compared = succeed(&results, &["compare", "smoke", "--format", "csv", "--where", "scenario=empty"]);
     assert!(compared.contains("model=my_gru") && compared.contains("model=other"), "{compared}");
+    // These models have no latent size and no training, so settings of networks do not select among them.
+    for setting in ["latent=4", "training.epochs=2"] {
+        let chosen = succeed(&results, &["compare", "smoke", "--format", "csv", "--where", setting]);
+        assert!(chosen.contains("model=my_gru") && chosen.contains("model=other"), "{setting}: {chosen}");
+    }
+    let plot = results.join("plot.svg").display().to_string();
+    let asked = ["plot", "smoke", "--x", "modality", "--by", "variant", "--facet", "scenario", "--y", "r2"];
+    succeed(&results, &[&asked[..], &["--output", &plot]].concat());
+    let words = words_of(&std::fs::read_to_string(&plot).unwrap());
+    assert!(
+        words.contains("network") && words.contains("model=my_gru") && !words.contains("none"),
+        "{words:?}"
+    );
     // A model of another program can be named, as networks and baselines can.
     let means =
         |models: &str| succeed(&results, &["compare", "smoke", "--models", models, "--format", "csv"]);

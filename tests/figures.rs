@@ -73,7 +73,7 @@ fn words(figure: Figure) -> BTreeSet<String> {
 }
 
 /// The texts of an SVG file.
-fn words_of(svg: &str) -> BTreeSet<String> {
+pub fn words_of(svg: &str) -> BTreeSet<String> {
     let document = roxmltree::Document::parse(svg).unwrap();
     let labeled = document.descendants().filter(|node| node.has_tag_name("g"));
     labeled.filter_map(|node| node.attribute("aria-label")).map(str::to_owned).collect()

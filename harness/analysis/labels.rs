@@ -23,6 +23,11 @@ impl Label {
     pub fn text(&self) -> &str {
         self.name.text()
     }
+
+    /// The same label, called `name` if it has no name, at the same place among the others.
+    pub fn or(self, name: &str) -> Self {
+        if self.text().is_empty() { Self { name: Natural::new(name), ..self } } else { self }
+    }
 }
 
 impl From<String> for Label {
