@@ -1,7 +1,7 @@
 //! The figures, drawn from small real runs of the paper's two experiments.
 
 use crate::common::finger::FRAME_LEN;
-use crate::common::{MULTI, SINGLE, TINY, finish, fresh, harness, succeed};
+use crate::common::{MULTI, SINGLE, SMOKE, TINY, finish, fresh, harness, succeed};
 use harness::analysis::{LEVEL, mean_interval};
 use harness::catalog::query;
 use harness::collection::dataset_of;
@@ -94,6 +94,28 @@ fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
     assert!(words.contains("angles, memory=none, model=simulator"), "{words:?}");
     assert!(words.contains("persistence") && words.contains("training mean"), "{words:?}");
     assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
+}
+
+#[test]
+fn a_figure_without_rows_suggests_a_run_only_if_it_adds_some() {
+    let (results, folder) = (fresh("figures_without_rows"), tempfile::tempdir().unwrap());
+    let smoke = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
+    for name in ["single_to_multi", "multi_to_multi"] {
+        let spec = folder.path().join(name).with_extension("yaml");
+        let own = smoke.replace("name: smoke\n", &format!("name: {name}\n")) + "tasks: [prediction]\n";
+        fs::write(&spec, own).unwrap();
+        succeed(&results, &["run", spec.to_str().unwrap()]);
+    }
+    let asked = ["figures", "reconstruction_performance", "--output", results.to_str().unwrap()];
+    let draw = |place: &Path| finish(harness(&results, &asked).current_dir(place));
+    // The built-in spec of this name asks for reconstruction too, and the one in the folder does not.
+    let more = draw(Path::new(env!("CARGO_MANIFEST_DIR"))).stdout;
+    assert!(
+        more.contains("have no rows") && more.contains(" run single_to_multi` makes runs that have"),
+        "{more}"
+    );
+    let same = draw(folder.path()).stdout;
+    assert!(same.contains("have no rows") && !same.contains(" run single_to_multi"), "{same}");
 }
 
 /// Each of the inputs has its own ridge regression.

@@ -118,7 +118,7 @@ fn one_version_of_a_world_counts_in_every_reader() {
 }
 
 #[test]
-fn the_version_of_the_file_counts_and_otherwise_that_of_the_last_start() {
+fn the_version_of_the_file_counts_or_else_the_last_start() {
     let two = Two::new("versions_of_files");
     move_wall(two.world.path(), ".25", ".3");
     assert_eq!(two.compared(&[]), one_of(2, "4"));

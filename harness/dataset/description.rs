@@ -31,6 +31,9 @@ fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
     format!("{name}-{}", &hash[..16])
 }
 
+/// The file with the compiled model of a simulated dataset, as MJCF. Datasets of earlier versions lack it.
+pub const MODEL: &str = "model.xml";
+
 /// The contents of `dataset.json`.
 pub(super) struct Description(pub serde_json::Value);
 

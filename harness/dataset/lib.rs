@@ -10,9 +10,9 @@ mod verify;
 mod version;
 
 pub use any::AnyDataset;
-pub use description::layout_of;
+pub use description::{MODEL, layout_of};
 pub use imported::Imported;
-pub use store::{CompiledModel, Dataset, MODEL};
+pub use store::{CompiledModel, Dataset};
 pub use verify::{Inspection, inspect, is_lock};
 pub use version::{WorldVersion, world_parts};
 

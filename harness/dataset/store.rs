@@ -1,7 +1,7 @@
 //! Simulated datasets on disk. Each episode is a Parquet file, in a folder whose name is determined by the content.
 
 use super::DatasetError;
-use super::description::{Description, FORMAT, identify};
+use super::description::{Description, FORMAT, MODEL, identify};
 use super::episode_file::{episode_file, open_episode, push_all, read_episode};
 use super::version::WorldVersion;
 use harness_samples::{FramePlace, Recording, Samples};
@@ -15,9 +15,6 @@ use rayon::prelude::*;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// The file with the compiled model of a simulated dataset, as MJCF. Datasets of earlier versions lack it.
-pub const MODEL: &str = "model.xml";
 
 /// A simulated dataset on disk.
 #[derive(Debug, Clone)]

@@ -1,9 +1,8 @@
 //! Checks the files of a dataset's folder.
 
 use super::DatasetError;
-use super::description::Description;
+use super::description::{Description, MODEL};
 use super::episode_file::{episode_file, open_episode};
-use super::store::MODEL;
 use harness_shared::files::{UNFINISHED, sorted};
 use harness_spec::Simulation;
 use harness_tables::{TableError, TableFile};

@@ -1,7 +1,6 @@
 //! Versions of a world: what determines its episodes besides the settings of the simulation.
 
-use super::description::Description;
-use super::store::MODEL;
+use super::description::{Description, MODEL};
 use harness_shared::seal::hex;
 use roxmltree::{Document, Node};
 use serde::{Deserialize, Serialize};

@@ -5,12 +5,12 @@
 //!
 //! ```text
 //! manifest.json                   format, versions, files; with a seal
-//! datasets/<name>/                dataset.json, episode_00000.parquet …
+//! datasets/<name>/                dataset.json, model.xml, episode_00000.parquet …
 //! runs/<experiment>/<run id>/     run.json, spec.yaml, tables, networks
 //! ```
 
 use super::Busy;
-use harness_dataset::{Dataset, inspect, is_lock};
+use harness_dataset::{Dataset, MODEL, inspect, is_lock};
 use harness_registry::{
     FileRecord, RECORD, Recorded, Registry, RegistryError, RunRecord, Status, UNCOMMITTED, Versions,
 };
@@ -348,7 +348,12 @@ fn dataset_files(
         return Err(RegistryError::Incomplete { path: folder, missing, episodes });
     }
     let paths = found.whole.into_iter().filter(|(index, _)| *index < episodes).map(|(_, path)| path);
-    paths.chain([path]).map(|path| listed(&format!("datasets/{name}"), &path)).collect()
+    let model = folder.join(MODEL);
+    paths
+        .chain([path])
+        .chain(model.exists().then_some(model))
+        .map(|path| listed(&format!("datasets/{name}"), &path))
+        .collect()
 }
 
 /// The number of episodes that these runs used of each dataset; 0 for imported datasets.

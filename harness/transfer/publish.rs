@@ -58,8 +58,9 @@ impl Content<'_> {
 ///
 /// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
 /// joints and links and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
-/// images are copied. The forces are copied of one run for each dataset, reading and role. Of a published copy, all rows
-/// are copied. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen` too.
+/// images are copied. The forces are copied of one run for each dataset, reading and role. Of a published copy, all
+/// rows are copied. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen`
+/// too.
 ///
 /// # Errors
 /// When `to` is the same registry or has such a run that is not a published copy, a process works on a copy, or a file
