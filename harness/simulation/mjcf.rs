@@ -7,8 +7,8 @@ use mujoco_rs::prelude::*;
 
 impl Scene {
     /// Returns the model as MJCF with the files that it includes. For each mesh, height field and texture, a text
-    /// element has the first digits of the SHA-256 of the content, which is not part of the MJCF. `None` if MuJoCo can't
-    /// write the model, or its files have changed since it was compiled.
+    /// element has the first digits of the SHA-256 of the content, which is not part of the MJCF. `None` if MuJoCo
+    /// can't write the model, or its files have changed since it was compiled.
     pub fn mjcf(&self) -> Option<String> {
         prepare().ok()?;
         let mut spec = match self.world().model() {
