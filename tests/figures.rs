@@ -109,12 +109,12 @@ fn a_figure_without_rows_suggests_a_run_only_if_it_adds_some() {
     let asked = ["figures", "reconstruction_performance", "--output", results.to_str().unwrap()];
     let draw = |place: &Path| finish(harness(&results, &asked).current_dir(place));
     // The built-in spec of this name asks for reconstruction too, and the one in the folder does not.
-    let more = draw(Path::new(env!("CARGO_MANIFEST_DIR"))).stdout;
+    let more = draw(Path::new(env!("CARGO_MANIFEST_DIR"))).stderr;
     assert!(
         more.contains("have no rows") && more.contains(" run single_to_multi` makes runs that have"),
         "{more}"
     );
-    let same = draw(folder.path()).stdout;
+    let same = draw(folder.path()).stderr;
     assert!(same.contains("have no rows") && !same.contains(" run single_to_multi"), "{same}");
 }
 
