@@ -1,8 +1,7 @@
-//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates. The sizes of
-//! crates, and the lengths of lines and of names of tests.
+//! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates.
 
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 use std::sync::LazyLock;
@@ -163,88 +162,4 @@ fn a_change_of_any_crate_of_the_report_renders_its_pictures() {
     for name in own(&contents(package("report"))) {
         assert!(script.contains(&format!("\"../{name}\"")), "harness/report/build.rs lacks {name}");
     }
-}
-
-/// Without the tests in its files.
-#[test]
-fn no_crate_has_more_than_6000_lines() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut lines = BTreeMap::<&str, usize>::new();
-    for file in tracked(&["harness/*.rs", ":!harness/benches"]) {
-        let (_, path) = file.split_once('/').unwrap();
-        let layer = LAYERS.iter().find(|layer| path.starts_with(&format!("{}/", layer.name)));
-        let text = std::fs::read_to_string(root.join(&file)).unwrap();
-        let source = text.split("\n#[cfg(test)]\nmod tests {").next().unwrap();
-        *lines.entry(layer.map_or("harness", |layer| layer.name)).or_default() += source.lines().count();
-    }
-    assert_eq!(lines.len(), LAYERS.len() + 1);
-    lines.retain(|_, lines| *lines > 6000);
-    assert!(lines.is_empty(), "{lines:?}");
-}
-
-#[test]
-fn names_of_tests_have_at_most_60_characters() {
-    let (mut found, mut long) = (0, Vec::new());
-    for file in tracked(&["*.rs", "*.py"]) {
-        let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(&file)).unwrap();
-        let is_python = file.ends_with(".py");
-        let names = text.lines().zip(text.lines().skip(1)).filter_map(|(before, line)| match is_python {
-            true => line.trim_start().strip_prefix("def ").filter(|name| name.starts_with("test_")),
-            false => line.trim_start().strip_prefix("fn ").filter(|_| before.trim_start().starts_with("#[")),
-        });
-        for name in names.filter_map(|line| line.split(['(', '<']).next()) {
-            found += 1;
-            if name.trim_start_matches("test_").len() > 60 {
-                long.push(format!("{file}: {name}"));
-            }
-        }
-    }
-    assert!(found > 500 && long.is_empty(), "{found} names, of which are too long: {long:#?}");
-}
-
-/// The files of git that match these patterns.
-fn tracked(patterns: &[&str]) -> Vec<String> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let files = Command::new("git").arg("ls-files").args(patterns).current_dir(root).output().unwrap();
-    let files = String::from_utf8(files.stdout).unwrap();
-    files.lines().filter(|file| root.join(file).exists()).map(str::to_owned).collect()
-}
-
-/// Tables, code, links and generated text of Markdown, queries in YAML, and URLs can't be wrapped. Hashes contain
-/// the worlds in models/.
-#[test]
-fn no_line_is_too_long() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let files = tracked(&[
-        "*.rs",
-        "*.md",
-        "*.py",
-        "*.pyi",
-        "*.yaml",
-        "*.yml",
-        "*.sh",
-        ".ci",
-        ":!models/*.yaml",
-        ":!models/*.py",
-    ]);
-    let mut long = Vec::new();
-    for file in files {
-        let text = std::fs::read_to_string(root.join(&file)).unwrap();
-        let end = file.rsplit_once('.').map_or("", |(_, end)| end);
-        let mut is_code = false;
-        for (index, line) in text.lines().enumerate() {
-            is_code ^= end == "md" && line.trim_start().starts_with("```");
-            let starts_with = |starts: &[&str]| starts.iter().any(|start| line.starts_with(start));
-            let is_whole = match end {
-                "md" => is_code || starts_with(&["|", "    ", "!["]) || line.contains("<!--"),
-                "yaml" => starts_with(&["    select ", "    where "]),
-                _ => false,
-            };
-            let is_exempt = is_whole || line.contains("://");
-            if !is_exempt && line.chars().count() > 120 {
-                long.push(format!("{file}:{}", index + 1));
-            }
-        }
-    }
-    assert!(long.is_empty(), "more than 120 columns: {long:#?}");
 }
