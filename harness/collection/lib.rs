@@ -4,7 +4,7 @@ use harness_dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
-use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, refuse_policy, renderer_name};
+use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, refuse_policy, rendering};
 use harness_spec::Simulation;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -60,7 +60,7 @@ pub fn check_missing<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Res
         has_images |= dataset.layout().stored_images().next().is_some();
     }
     if has_images {
-        renderer_name()?;
+        rendering()?;
     }
     Ok(())
 }

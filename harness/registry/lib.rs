@@ -47,7 +47,7 @@ pub use verify::{Finding, Report};
 pub use worlds::{DatasetsNow, Outdated, UNKNOWN};
 
 use checks::Checks;
-use harness_shared::files::{FolderLock, WriteError, folders};
+use harness_shared::files::{FolderLock, WriteError, check_locks, folders};
 use harness_shared::seal::hex;
 use harness_spec::{RunSpec, Task};
 use serde_json::Value;
@@ -185,14 +185,15 @@ impl Registry {
     ///
     /// # Errors
     /// When the folder or a file in it can't be created.
-    pub fn check_writable(&self) -> Result<(), WriteError> {
-        let attempt = match self.root.is_file() {
+    pub fn check_writable(&self) -> Result<(), RegistryError> {
+        let made = match self.root.is_file() {
             true => Err(io::Error::new(ErrorKind::NotADirectory, IS_FILE)),
             false => {
                 std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root).map(drop))
             }
         };
-        attempt.map_err(|source| WriteError { path: self.root.clone(), source })
+        made.map_err(|source| WriteError { path: self.root.clone(), source })?;
+        Ok(check_locks(&self.root)?)
     }
 
     /// Decides whether to run, resume or skip a run. Also returns the run's record, if it has a readable one.

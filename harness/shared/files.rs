@@ -1,10 +1,10 @@
 //! Files that are written completely or not at all, and folders in which one process writes at a time.
 
-use std::ffi::CString;
+use std::ffi::{CString, OsString};
 use std::fs::{DirEntry, File, Metadata, OpenOptions, Permissions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::mem::MaybeUninit;
-use std::os::unix::ffi::OsStrExt;
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -157,13 +157,29 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
 
 /// A folder can't be locked.
 #[derive(Debug, thiserror::Error)]
-#[error("can't lock {}: {source}", path.display())]
-pub struct LockError {
-    /// The lock file of the folder.
-    pub path: PathBuf,
-    #[source]
-    /// The error of the file system.
-    pub source: io::Error,
+pub enum LockError {
+    /// The lock file can't be made or opened.
+    #[error("can't lock {}: {source}", path.display())]
+    Unopened {
+        /// The lock file of the folder.
+        path: PathBuf,
+        /// The error of the file system.
+        #[source]
+        source: io::Error,
+    },
+    /// The file system has no locks, or its server refuses them.
+    #[error(
+        "can't lock {}: {} refuses locks (flock: {source}); choose a results folder on a local disk with --results, or \
+         have this file system mounted with locks (NFS 4, or NFS 3 with a lock daemon; Lustre with the option flock)",
+        path.display(), FileSystem::described(path)
+    )]
+    Refused {
+        /// The lock file of the folder.
+        path: PathBuf,
+        /// The error of the file system.
+        #[source]
+        source: io::Error,
+    },
 }
 
 /// A lock on a folder. Only its holder writes to the folder, until this value is dropped.
@@ -188,7 +204,7 @@ impl FolderLock {
     /// Returns `None` if this or another process has locked it already.
     ///
     /// # Errors
-    /// When the folder can't be made or its lock can't be opened.
+    /// When the folder can't be made, its lock can't be opened, or the file system refuses locks.
     pub fn attempt(folder: &Path) -> Result<Option<Self>, LockError> {
         let lock = Self::lock(folder, File::try_lock)?;
         if let Some(Self { file }) = &lock {
@@ -203,7 +219,7 @@ impl FolderLock {
     /// Unfinished files of other processes stay.
     ///
     /// # Errors
-    /// When the folder can't be made or its lock can't be opened.
+    /// When the folder can't be made, its lock can't be opened, or the file system refuses locks.
     pub fn attempt_shared(folder: &Path) -> Result<Option<Self>, LockError> {
         Self::lock(folder, File::try_lock_shared)
     }
@@ -247,21 +263,25 @@ impl FolderLock {
 
     fn lock(folder: &Path, attempt: Attempt) -> Result<Option<Self>, LockError> {
         let path = folder.join(LOCK);
-        let locked = || {
+        let open = || {
             std::fs::create_dir_all(folder)?;
             // NFS locks a file for one process only if it was opened for writing, and for several only if it was opened
             // for reading.
-            let file = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path)?;
-            Ok::<_, io::Error>(is_locked(&file, attempt)?.then_some(file))
+            OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path)
         };
         for _ in 0..ATTEMPTS {
-            match locked() {
+            let file = match open() {
+                Ok(file) => file,
                 // Another process has removed the folder meanwhile.
-                Ok(Some(file)) if !is_at(&file, &path) => {}
-                Err(error) if error.kind() == ErrorKind::NotFound => {}
-                Err(error) if error.kind() == ErrorKind::AlreadyExists && !folder.is_file() => {}
-                Ok(file) => return Ok(file.map(|file| Self { file })),
-                Err(source) => return Err(LockError { path, source }),
+                Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                Err(error) if error.kind() == ErrorKind::AlreadyExists && !folder.is_file() => continue,
+                Err(source) => return Err(LockError::Unopened { path, source }),
+            };
+            match is_locked(&file, attempt) {
+                Ok(true) if !is_at(&file, &path) => {}
+                Ok(true) => return Ok(Some(Self { file })),
+                Ok(false) => return Ok(None),
+                Err(source) => return Err(LockError::Refused { path, source }),
             }
         }
         Ok(None)
@@ -285,6 +305,62 @@ fn is_locked(file: &File, attempt: Attempt) -> io::Result<bool> {
         }
     }
     Ok(false)
+}
+
+/// Checks that files in a folder can be locked, with a temporary file.
+///
+/// # Errors
+/// When no file can be made in the folder, or its file system refuses locks.
+pub fn check_locks(folder: &Path) -> Result<(), LockError> {
+    let path = folder.to_owned();
+    let file = match tempfile::tempfile_in(folder) {
+        Ok(file) => file,
+        Err(source) => return Err(LockError::Unopened { path, source }),
+    };
+    file.lock().map_err(|source| LockError::Refused { path, source })
+}
+
+/// A mounted file system.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FileSystem {
+    /// The folder at which it is mounted.
+    pub place: PathBuf,
+    /// Its type, such as `ext4` or `nfs4`.
+    pub kind: String,
+}
+
+impl FileSystem {
+    /// The file system of a path in words: its type and where it is mounted.
+    fn described(path: &Path) -> String {
+        let mounts = std::fs::read_to_string("/proc/self/mountinfo").unwrap_or_default();
+        let found = Self::of(&real(path), &mounts);
+        found.map_or("its file system".to_owned(), |Self { place, kind }| {
+            format!("the file system at {} ({kind})", place.display())
+        })
+    }
+
+    /// The file system of an absolute path among `mounts`, which are listed as in proc_pid_mountinfo(5).
+    pub fn of(path: &Path, mounts: &str) -> Option<Self> {
+        let parsed = |line: &str| {
+            let (mount, about) = line.split_once(" - ")?;
+            let place = unescaped(mount.split(' ').nth(4)?);
+            path.starts_with(&place).then_some(Self { place, kind: about.split(' ').next()?.to_owned() })
+        };
+        // Of several mounts at one place, the last one is seen.
+        mounts.lines().filter_map(parsed).max_by_key(|mount| mount.place.components().count())
+    }
+}
+
+/// A path in which spaces and other characters are written as in `\\040`, in octal digits.
+fn unescaped(text: &str) -> PathBuf {
+    let mut parts = text.split('\\');
+    let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
+    for part in parts {
+        let code = part.get(..3).and_then(|digits| u8::from_str_radix(digits, 8).ok());
+        bytes.extend(code);
+        bytes.extend_from_slice(if code.is_some() { &part.as_bytes()[3..] } else { part.as_bytes() });
+    }
+    PathBuf::from(OsString::from_vec(bytes))
 }
 
 /// Whether an open file is the one at `path`.

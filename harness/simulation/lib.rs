@@ -42,7 +42,7 @@ pub use episode::{Simulator, refuse_policy, replay};
 pub use factors::FactorValues;
 pub use live::LiveSimulation;
 pub use notes::{Notes, notes};
-pub use opengl::{prepare_rendering, renderer_name};
+pub use opengl::{RenderingDevice, prepare_rendering, rendering};
 pub use plan::EpisodePlan;
 pub use restart::{SimulatedOn, simulate_on};
 pub use scene::Scene;
