@@ -135,7 +135,7 @@ fn main() -> candle_core::Result<()> {
         let draw = &mut Draw::Sample { random: &mut random, dropout: 0.0 };
         let encoded = network.encode(&observation, draw)?;
         let start = network.start(sequences, &Device::Cpu)?;
-        let Seen { state, divergence } =
+        let Seen { state, divergence, .. } =
             network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
         let mut loss = (divergence * 1e-3)?;
         for term in network.losses(&state, targets)? {

@@ -7,7 +7,7 @@ use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
-use harness::metrics::{best, rounded};
+use harness::metrics::{Metric, best, rounded};
 use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord};
 use harness::spec::model_parts;
@@ -128,6 +128,32 @@ impl Best {
              '{KL}')) join kept using (run, epoch) where place = 1 group by run order by error, run limit 1"
         );
         Ok(rows(&mut query_of(registry, is_wanted, &sql)?)?.into_iter().next())
+    }
+}
+
+/// How much of its latent state a network uses, as the table of metrics says.
+#[derive(Deserialize)]
+pub struct LatentUse {
+    kl: f64,
+    active: f64,
+}
+
+impl LatentUse {
+    /// Of the run in question; `None` if its table lacks it.
+    pub fn of(registry: &Registry, is_run: impl Fn(&RunRecord) -> bool) -> Result<Option<Self>> {
+        let [kl, active] = Metric::LATENT.map(Metric::name);
+        let sql = format!(
+            "select k.value as kl, a.value as active from metrics as k join metrics as a using (experiment, run, \
+             modality) where k.metric = '{kl}' and k.index is null and a.metric = '{active}'"
+        );
+        Ok(rows(&mut query_of(registry, is_run, &sql)?)?.into_iter().next())
+    }
+}
+
+impl std::fmt::Display for LatentUse {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self { kl, active } = self;
+        write!(f, "{active} active (KL {} nats)", rounded(*kl, "nats"))
     }
 }
 

@@ -22,7 +22,7 @@ pub use worlds::results;
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, DatasetError, Imported};
-use harness_judge::{JudgeError, Predictor, Test, judge};
+use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Network, Parameters, architecture};
@@ -32,6 +32,7 @@ use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, checkpoint, open_device};
+use harness_metrics::latent;
 use harness_registry::{
     Claimed, Decision, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
     Timings, Versions,
@@ -548,6 +549,13 @@ impl TrainingRun<'_> {
         let Prediction { network, window, input, output, .. } = objective;
         let trained = TrainedNetwork { data, network: network.detached(), input, output, window };
         self.judge(task, &trained, outcome)?;
+        let begin = Instant::now();
+        let test = &self.prepared.open.partition.test;
+        let divergences = trained.divergences(test).map_err(LearningError::from)?;
+        let model = trained.name().to_owned();
+        let row = |row| MetricRow { task, model: model.clone(), horizon: 1, given: None, row };
+        outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
+        outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((network, parameters))
     }
 

@@ -53,6 +53,9 @@ impl Modality {
     /// recorded only if the spec turns on a factor.
     pub const FACTORS: Self = Self("factors");
 
+    /// The latent state of a network, about which the table of metrics has rows. No dataset records it.
+    pub const LATENT: Self = Self("latent");
+
     /// The modalities of the built-in worlds that a spec can name.
     pub const BUILT_IN: [Self; 6] = [
         Self::PROPRIOCEPTION,
@@ -64,8 +67,10 @@ impl Modality {
     ];
 
     /// Names that a modality can't have, because columns, loss terms or saved networks use them for something else.
-    pub const RESERVED: [&str; 10] =
-        ["dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total"];
+    pub const RESERVED: [&str; 11] = [
+        "dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total",
+        "latent",
+    ];
 }
 
 interned_name!(

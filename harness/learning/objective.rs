@@ -68,7 +68,7 @@ impl Objective for Prediction<'_> {
         let Self { data, network, window, training, .. } = self;
         let start = self.burned_in(at, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
-        let Seen { mut state, divergence } = self.unroll(at.len(), start, &seen, &mut draw)?;
+        let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &mut draw)?;
         let losses = |state: &State, of: &[Sample], parts: usize| {
             let values = data.observation(of, self.output)?;
             network.losses(state, Targets { values: &values, losses: &training.losses, parts })
@@ -157,14 +157,14 @@ impl Prediction<'_> {
         for first in (0..times).step_by(most) {
             let part = most.min(times - first);
             let rows = |tensor: &Tensor| tensor.narrow(0, first * batch, part * batch);
-            let Seen { state, divergence } =
+            let Seen { state, divergence, .. } =
                 self.network.unroll(batch, start.as_ref(), &rows(&encoded)?, &rows(&actions)?, draw)?;
             start = Some(state.last(batch)?);
             states.push(state);
             divergences.push((divergence * (part as f64 / times as f64))?);
         }
         let divergence = Tensor::stack(&divergences, 0)?.sum_all()?;
-        Ok(Seen { state: State::joined(&states)?, divergence })
+        Ok(Seen { state: State::joined(&states)?, divergence, divergences: None })
     }
 }
 

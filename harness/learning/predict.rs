@@ -3,7 +3,7 @@
 use super::LearningError;
 use super::data::NormalizedData;
 use super::network::{Decoded, Decoder, Draw, Network, State, context};
-use candle_core::{Result, Tensor};
+use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_samples::{Normalizers, Sample, Samples, after};
 use harness_spec::{Modality, Window, WindowStart};
@@ -65,7 +65,7 @@ impl Tracks {
 }
 
 /// Returns the state of a network that has seen the windows until the present samples `at`, which are in ascending
-/// order.
+/// order, and the divergence of each dimension of their latent states, `[at, latent]`, in nats.
 ///
 /// # Errors
 /// Those of the network.
@@ -75,7 +75,7 @@ fn present(
     input: &[Modality],
     window: &Window,
     at: &[Sample],
-) -> Result<State> {
+) -> Result<(State, Tensor)> {
     let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
     let longest = tracks.tracks.iter().map(|track| track.samples).max().unwrap_or_default();
     let all: BTreeSet<Sample> = (0..longest).flat_map(|distance| tracks.at(distance)).collect();
@@ -86,25 +86,29 @@ fn present(
     });
     let encoded = Tensor::cat(&encoded.collect::<Result<Vec<_>>>()?, 0)?;
     let mut state = network.start(tracks.tracks.len(), &data.device)?;
-    let (mut states, mut order) = (Vec::new(), Vec::new());
+    let (mut states, mut divergences, mut order) = (Vec::new(), Vec::new(), Vec::new());
     for distance in 0..longest {
         let now = tracks.at(distance);
         let rows: Vec<u32> =
             now.iter().filter_map(|sample| all.binary_search(sample).ok()).map(|row| row as u32).collect();
         let encoded = encoded.index_select(&Tensor::new(rows, encoded.device())?, 0)?;
-        let seen = network.observe(state.as_ref(), &encoded, &mut Draw::Mean)?.state;
+        let seen = network.observe(state.as_ref(), &encoded, &mut Draw::Mean)?;
         let (indices, rows): (Vec<usize>, Vec<u32>) = tracks.wanted(distance).unzip();
         if !rows.is_empty() {
-            states.push(seen.rows(&rows)?);
+            states.push(seen.state.rows(&rows)?);
+            let Some(all) = &seen.divergences else { candle_core::bail!("the network has no divergences") };
+            divergences.push(all.index_select(&Tensor::new(rows, all.device())?, 0)?);
             order.extend(indices);
         }
         if distance + 1 < longest {
-            state = Some(network.act(&seen, &data.actions(&tracks.acting(distance))?)?);
+            state = Some(network.act(&seen.state, &data.actions(&tracks.acting(distance))?)?);
         }
     }
     let mut rows = vec![0; order.len()];
     order.into_iter().enumerate().for_each(|(row, index)| rows[index] = row as u32);
-    State::joined(&states)?.rows(&rows)
+    let divergences = Tensor::cat(&divergences, 0)?;
+    let in_order = Tensor::new(&*rows, divergences.device())?;
+    Ok((State::joined(&states)?.rows(&rows)?, divergences.index_select(&in_order, 0)?))
 }
 
 /// The latent states of a network at all samples. At the first ones of an episode, the context is as long as it can be.
@@ -128,7 +132,7 @@ impl Latents {
     ) -> Result<Self> {
         let network = network.detached();
         let at = data.samples.windows(&Window { horizon: 0, ..window.of_one_sample() });
-        let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.latent));
+        let latents = at.chunks(BATCH).map(|at| Ok(present(&*network, data, input, window, at)?.0.latent));
         let values = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?.contiguous()?;
         Ok(Self { at, values })
     }
@@ -166,6 +170,26 @@ pub struct TrainedNetwork<'a> {
     pub window: &'a Window,
 }
 
+impl TrainedNetwork<'_> {
+    /// Returns the divergence of each dimension of the latent state from what was expected before the present sample,
+    /// averaged over the windows at these present samples, `[latent]`, in nats. It was expected to be standard normal,
+    /// or as the prior says if the network has one.
+    ///
+    /// # Errors
+    /// Those of the network.
+    pub fn divergences(&self, at: &[Sample]) -> Result<Vec<f64>> {
+        let Self { data, network, input, window, .. } = self;
+        let mut sums: Vec<f64> = Vec::new();
+        for part in at.chunks(BATCH) {
+            let (_, divergences) = present(&**network, data, input, window, part)?;
+            let of_part = divergences.to_dtype(DType::F64)?.sum(0)?.to_vec1::<f64>()?;
+            sums.resize(of_part.len(), 0.0);
+            sums.iter_mut().zip(of_part).for_each(|(sum, more)| *sum += more);
+        }
+        Ok(sums.into_iter().map(|sum| sum / at.len() as f64).collect())
+    }
+}
+
 impl Predictor for TrainedNetwork<'_> {
     fn name(&self) -> &str {
         models::NETWORK
@@ -173,7 +197,7 @@ impl Predictor for TrainedNetwork<'_> {
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let Self { data, network, input, window, .. } = self;
-        let mut state = present(&**network, data, input, window, at).map_err(failed)?;
+        let (mut state, _) = present(&**network, data, input, window, at).map_err(failed)?;
         let horizons = window.horizons();
         for horizon in 1..=window.horizon {
             let now = after(at, horizon - 1);

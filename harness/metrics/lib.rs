@@ -2,7 +2,8 @@
 //!
 //! [`series`] has the formulas. [`Evaluation`] applies those that suit a modality to its joints, links or pixels.
 //! [`parts`] finds the pixels that show parts of the robot. [`baselines`] predicts without a network. [`contact`]
-//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`epoch`] is what training logs. `words`
+//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`latent`] says how much of a latent
+//! state is used. [`epoch`] is what training logs. `words`
 //! has names and values for people.
 //!
 //! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
@@ -11,6 +12,7 @@ pub mod baselines;
 pub mod contact;
 pub mod epoch;
 mod error;
+pub mod latent;
 pub mod parts;
 pub mod series;
 pub mod skill;
@@ -85,6 +87,10 @@ pub enum Metric {
     Skill,
     /// The largest horizon up to which the skill is positive, in samples; see [`skill::skill_horizon`].
     SkillHorizon,
+    /// The divergence of the latent state from what was expected before the present sample, in nats; see [`latent`].
+    Kl,
+    /// Number of dimensions of the latent state that are active; see [`latent`].
+    Active,
     /// Another metric over a region: over the pixels that show the region before or after the change, over the
     /// contacts of one kind, or over the samples from a time of their episode on. It holds the other metric and the
     /// whole name, such as `r2_ground`.
@@ -95,11 +101,19 @@ impl Metric {
     /// The metrics that no table has, because they follow from the RMSE of a model and that of persistence.
     pub const DERIVED: [Metric; 2] = [Metric::Skill, Metric::SkillHorizon];
 
-    /// The metrics of the tables that do not belong to a region.
+    /// The metrics of a latent state. Neither higher nor lower values are better.
+    pub const LATENT: [Metric; 2] = [Metric::Kl, Metric::Active];
+
+    /// The metrics of the tables that judge predictions and do not belong to a region.
     pub const GENERAL: [Metric; 6] = {
         use Metric::*;
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
+
+    /// Returns all metrics that do not belong to a region.
+    pub fn all() -> impl Iterator<Item = Metric> {
+        Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT)
+    }
 
     /// Returns this metric over the region with this name. A metric of a region has no regions itself.
     pub fn in_region(self, region: &str) -> Self {
@@ -111,13 +125,12 @@ impl Metric {
 
     /// Returns the metric with this name, if there is one.
     pub fn named(name: &str) -> Option<Self> {
-        let general = || Self::GENERAL.into_iter();
-        general().chain(Self::DERIVED).find(|metric| metric.name() == name).or_else(|| {
+        Self::all().find(|metric| metric.name() == name).or_else(|| {
             let regional = |metric: Self| {
                 let region = name.strip_prefix(metric.name())?.strip_prefix('_')?;
                 Modality::new(region).map(|_| metric.in_region(region))
             };
-            general().find_map(regional)
+            Self::GENERAL.into_iter().find_map(regional)
         })
     }
 
@@ -134,7 +147,7 @@ impl Metric {
         percentage.into_iter().chain([R2, Rmse, Mae]).collect()
     }
 
-    /// Whether higher values are better. All other metrics are errors.
+    /// Whether higher values are better. All other metrics are errors, apart from [`Metric::LATENT`].
     pub fn higher_is_better(self) -> bool {
         match self {
             Metric::Regional(metric, _) => metric.higher_is_better(),
@@ -153,6 +166,8 @@ impl Metric {
             Metric::RelativeError => RELATIVE_ERROR,
             Metric::Skill => "skill",
             Metric::SkillHorizon => "skill_horizon",
+            Metric::Kl => "kl",
+            Metric::Active => "active",
             Metric::Regional(_, name) => name,
         }
     }
@@ -162,8 +177,7 @@ impl FromStr for Metric {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let names =
-            Self::GENERAL.into_iter().chain(Self::DERIVED).map(Self::name).collect::<Vec<_>>().join(", ");
+        let names = Self::all().map(Self::name).collect::<Vec<_>>().join(", ");
         Self::named(name).ok_or_else(|| {
             format!(
                 "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, \
@@ -359,7 +373,7 @@ impl Evaluation {
             Metric::Smape | Metric::Wmape => "%".into(),
             Metric::Rmse | Metric::Mae => self.definition.unit_of(elements).unwrap_or_default().into(),
             Metric::R2 | Metric::RelativeError | Metric::Regional(..) => "1".into(),
-            Metric::Skill | Metric::SkillHorizon => "1".into(),
+            Metric::Skill | Metric::SkillHorizon | Metric::Kl | Metric::Active => "1".into(),
         }
     }
 
@@ -375,8 +389,8 @@ impl Evaluation {
                 series::error_relative_to_zero(series)
             }
             Metric::RelativeError => series::error_relative_to_mean(series),
-            // They need the error of persistence.
-            Metric::Skill | Metric::SkillHorizon => None,
+            // They need the error of persistence, or the network.
+            Metric::Skill | Metric::SkillHorizon | Metric::Kl | Metric::Active => None,
             Metric::Regional(metric, _) => self.value(*metric, series),
         }
     }

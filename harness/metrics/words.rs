@@ -5,16 +5,18 @@ use super::Metric;
 /// The name of a metric for people, with the unit of the values.
 pub fn label(metric: &str, unit: &str) -> String {
     let words = metric.split('_').map(|word| match word {
-        "smape" | "wmape" | "r2" | "rmse" | "mae" => word.to_uppercase(),
+        "smape" | "wmape" | "r2" | "rmse" | "mae" | "kl" => word.to_uppercase(),
         _ => word.to_owned(),
     });
     let name = words.collect::<Vec<_>>().join(" ");
     if unit == "1" { name } else { format!("{name} ({unit})") }
 }
 
-/// Whether higher values of the metric with this name are better; `None` for a user's metric, of which this is unknown.
+/// Whether higher values of the metric with this name are better; `None` for a metric of a latent state, and for a
+/// user's metric, of which this is unknown.
 pub fn higher_is_better(metric: &str) -> Option<bool> {
-    Metric::named(metric).map(Metric::higher_is_better)
+    let metric = Metric::named(metric).filter(|metric| !Metric::LATENT.contains(metric));
+    metric.map(Metric::higher_is_better)
 }
 
 /// Whether each of some values of a metric is the best, as far as the printed digits show. None is if there are fewer
@@ -36,8 +38,8 @@ pub fn best(metric: &str, unit: &str, values: &[Option<f64>]) -> Vec<bool> {
 pub fn rounded(value: f64, unit: &str) -> String {
     let decimals = match unit {
         "%" => 2,
-        "1" => 3,
-        "samples" => 1,
+        "1" | "nats" => 3,
+        "samples" | "dimensions" => 1,
         _ => 4,
     };
     let number = format!("{value:.decimals$}");

@@ -24,7 +24,7 @@ pub use frame_encoder::frame_encoder;
 pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
 pub use gru::{Gated, gru};
 pub use linear::linear;
-pub use posterior::{balanced_divergence, kl_divergence, sample};
+pub use posterior::{balanced_divergence, divergences, kl_divergence, sample};
 pub use rssm::{Sequences, StateSpace, rssm};
 pub use stack::Stack;
 pub use two_layers::{TwoLayers, two_layers};

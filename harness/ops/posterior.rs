@@ -30,9 +30,25 @@ pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     if posterior.device().is_cpu() {
         return posterior.contiguous()?.apply_op1(Divergence);
     }
+    divergences(posterior, None)?.sum_all()? * (1.0 / batch)
+}
+
+/// Returns the Kullback-Leibler divergence of each dimension from a prior, or from the standard normal distribution,
+/// `[batch, latent]`, in nats. Both are as in [`sample`].
+///
+/// # Errors
+/// When the shapes differ.
+pub fn divergences(posterior: &Tensor, prior: Option<&Tensor>) -> Result<Tensor> {
     let (mean, log_variance) = halves(posterior)?;
-    let terms = ((mean.sqr()? + log_variance.exp()?)? - (log_variance + 1.0)?)?;
-    terms.sum_all()? * (0.5 / batch)
+    let twice = match prior {
+        None => ((mean.sqr()? + log_variance.exp()?)? - (log_variance + 1.0)?)?,
+        Some(prior) => {
+            let (prior_mean, log_prior) = halves(prior)?;
+            let ratio = ((log_variance.exp()? + (mean - prior_mean)?.sqr()?)? / log_prior.exp()?)?;
+            (((log_prior - log_variance)? + ratio)? - 1.0)?
+        }
+    };
+    twice * 0.5
 }
 
 /// Returns the divergence of a posterior from a prior as a loss of both, averaged over the batch (Hafner et al.,
@@ -58,10 +74,7 @@ pub fn balanced_divergence(
         return posterior.contiguous()?.apply_op2(&prior.contiguous()?, op);
     }
     let nats = |posterior: &Tensor, prior: &Tensor| {
-        let ((mean, log_variance), (prior_mean, log_prior)) = (halves(posterior)?, halves(prior)?);
-        let ratio = ((log_variance.exp()? + (mean - prior_mean)?.sqr()?)? / log_prior.exp()?)?;
-        let nats = (((log_prior - log_variance)? + ratio)? - 1.0)?;
-        (nats.sum(1)? * 0.5)?.maximum(free)?.mean_all()
+        divergences(posterior, Some(prior))?.sum(1)?.maximum(free)?.mean_all()
     };
     nats(&posterior.detach(), prior)? + (nats(posterior, &prior.detach())? * representation)?
 }

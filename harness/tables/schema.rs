@@ -275,19 +275,24 @@ fn metric_values() -> Vec<Column> {
     vec![
         text("task", "prediction or reconstruction"),
         text("model", "network, or a baseline: persistence, training_mean, ridge"),
-        text("modality", "what is predicted"),
+        text("modality", "what is predicted; 'latent' for the rows of kl and active"),
         text(
             "direction",
             "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); 'in rad', \
              'in m' and so on for the elements with a unit, if a modality has several; null if none or all",
         ),
-        integer("index", "element: joint or link, 0 at the base; null for an aggregate"),
+        integer(
+            "index",
+            "element: joint or link, 0 at the base, or dimension of the latent state; null for an aggregate",
+        ),
         text(
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
              regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those \
              of other kinds of contact: over the links with such a contact; r2_from_10s and others of window.since_s: \
-             over the samples from that time of their episode on; or a user's metric",
+             over the samples from that time of their episode on; kl: the divergence of the latent state, or of one of \
+             its dimensions, from what is expected before the present sample, averaged over the test windows; active: \
+             the number of dimensions whose kl is above 0.01 nats; or a user's metric",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),

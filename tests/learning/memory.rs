@@ -6,7 +6,8 @@ use harness_learning::network::{Network as Predicting, Posterior, Seen, State};
 use harness_learning::predict::{Latents, TrainedNetwork};
 use harness_metrics::Metric;
 use harness_ops::{
-    Arithmetic, Gated, Sequences, StateSpace, TwoLayers, balanced_divergence, gru, rssm, sample, two_layers,
+    Arithmetic, Gated, Sequences, StateSpace, TwoLayers, balanced_divergence, divergences, gru, rssm, sample,
+    two_layers,
 };
 use harness_spec::WindowStart;
 
@@ -211,6 +212,11 @@ fn the_divergence_of_two_posteriors_is_that_of_gaussians() {
     assert!((nats(&wide, &narrow) - expected([4.0, 4.0], 1.0)).abs() < 1e-5);
     assert!((nats(&narrow, &wide) - expected([0.25, 0.25], 0.25)).abs() < 1e-5);
     assert_eq!(nats(&wide, &wide), 0.0);
+    let row = |values: [f32; 4]| Tensor::new(&[values], &Device::Cpu).unwrap();
+    let (from, to) = (row([1.0, -2.0, 4f32.ln(), 0.0]), row([0.0, -2.0, 0.0, 0.25f32.ln()]));
+    let of_each = divergences(&from, Some(&to)).unwrap().to_vec2::<f32>().unwrap();
+    let by_dimension = [expected([4.0, 1.0], 1.0), expected([1.0, 4.0], 0.0)];
+    assert!(of_each[0].iter().zip(by_dimension).all(|(found, expected)| (found - expected).abs() < 1e-5));
     let normal = of([0.0, 0.0], [1.0, 1.0]);
     let mean = scalar(&wide.kl_divergence().unwrap()).unwrap() as f32;
     assert!((nats(&wide, &normal) - mean).abs() < 1e-5);
@@ -315,7 +321,7 @@ fn assert_memory_agrees_with_its_twin(memory: Memory) {
     let seen = twin.values([(Modality::PROPRIOCEPTION, "input.vector")]);
     let encoded = network.encode(&seen, &mut Draw::Mean).unwrap();
     let start = network.start(2, &Device::Cpu).unwrap();
-    let Seen { state, divergence } =
+    let Seen { state, divergence, .. } =
         network.unroll(2, start.as_ref(), &encoded, twin.get("action"), &mut Draw::Mean).unwrap();
     let further = network.act(&state, twin.get("further_action")).unwrap();
     assert_close(state.memory.as_ref().unwrap(), twin.get("output.memory"), TWIN_TOLERANCE, "the memory");
@@ -511,7 +517,7 @@ fn losses_after(
     let data = &bench.data;
     let encoded = network.encode(&data.observation(seen, &ANGLES).unwrap(), &mut Draw::Mean).unwrap();
     let actions = data.actions(seen).unwrap();
-    let Seen { mut state, divergence } =
+    let Seen { mut state, divergence, .. } =
         network.unroll(batch, start, &encoded, &actions, &mut Draw::Mean).unwrap();
     let ahead = |distance| seen.iter().map(|sample| sample.after(distance)).collect::<Vec<_>>();
     let losses = (1..=horizon).map(|distance| {

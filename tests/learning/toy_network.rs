@@ -39,7 +39,7 @@ impl Network for Integrator {
         let share = (count + 1.0)?.recip()?;
         let latent = (latent + (positions - latent)?.broadcast_mul(&share)?)?;
         let state = State { latent, action: None, memory: Some((count + 1.0)?) };
-        Ok(Seen { state, divergence: Tensor::new(0f32, &Device::Cpu)? })
+        Ok(Seen { state, divergence: Tensor::new(0f32, &Device::Cpu)?, divergences: None })
     }
 
     fn act(&self, state: &State, action: &Tensor) -> Result<State> {

@@ -820,3 +820,39 @@ def test_further_horizons_change_no_other_table(tmp_path: Path) -> None:
     rows = harness.query(both, far)
     assert rows["horizon"].to_list() == [1, 2, 3]
     assert rows["rows"].to_list() == harness.query(both, near)["rows"].to_list() * 3
+
+
+def test_the_table_of_metrics_has_the_divergence_of_each_latent_dimension(results: Path, folders: dict[str, Path]) -> None:
+    """Computed from the posterior over the test windows, by the formula for two Gaussians."""
+    model, data = harness.load_model("smoke/empty", results=results), harness.Dataset(folders["empty"])
+    at = data.split("test")
+    mean, log_variance = model.encode({name: data[name][at] for name in model.input})
+    nats = (0.5 * (mean.astype(float) ** 2 + np.exp(log_variance.astype(float)) - 1 - log_variance)).mean(axis=0)
+    rows = harness.query(
+        "select metric, index, value from metrics where scenario = 'empty' and modality = 'latent' "
+        "order by metric, index nulls first",
+        results,
+    ).rows()
+    expected = [("active", None, float((nats > 0.01).sum())), ("kl", None, nats.sum())]
+    expected += [("kl", index, value) for index, value in enumerate(nats)]
+    assert [row[:2] for row in rows] == [row[:2] for row in expected]
+    assert np.allclose([row[2] for row in rows], [row[2] for row in expected], rtol=1e-5)
+
+
+def test_paths_are_taken_as_they_are(results: Path, tmp_path: Path) -> None:
+    """In a folder whose name is a pattern, beside another one that matches it."""
+    folder = tmp_path / "it's [a]=*? #1 50% \"ü日\" $HOME"
+    (tmp_path / folder.name.replace("[a]", "a") / "results").mkdir(parents=True)
+    copy = folder / "results"
+    shutil.copytree(results, copy)
+    assert harness.query("select count(run) as runs from runs", copy)["runs"].to_list() == [2]
+    model = harness.load_model("smoke/empty", results=copy)
+    assert len(harness.Dataset(copy / "datasets" / model.dataset)) == 120
+    assert harness.compare("smoke", results=copy).height > 0
+    harness.plot("smoke", x="scenario", y="r2", by="modality", output=folder / "plot.svg", results=copy)
+    harness.report("smoke", output=folder / "page.html", results=copy, progress=False)
+    harness.export_onnx("smoke/empty", folder / "network.onnx", results=copy)
+    assert harness.run(SMOKE, {"scenarios": "empty", "seeds": 1}, results=copy, progress=False) == (1, 0)
+    assert [problem for problem in harness.verify(copy) if problem.broken] == []
+    written = {path.name for path in folder.iterdir()}
+    assert written == {"results", "plot.svg", "page.html", "network.onnx"}

@@ -46,7 +46,8 @@ impl Network for Cvae {
     fn observe(&self, _state: Option<&State>, encoded: &Tensor, draw: &mut Draw) -> Result<Seen> {
         let posterior = Posterior(encoded.clone());
         let state = State { latent: draw.latent(&posterior)?, action: None, memory: None };
-        Ok(Seen { state, divergence: posterior.kl_divergence()? })
+        let divergences = posterior.divergences(None, draw)?;
+        Ok(Seen { state, divergence: posterior.kl_divergence()?, divergences })
     }
 
     fn act(&self, state: &State, action: &Tensor) -> Result<State> {

@@ -267,6 +267,9 @@ pub struct Seen {
     /// The divergence of the latent state's distribution from what was expected before the observation, in nats,
     /// averaged over the batch; a scalar.
     pub divergence: Tensor,
+    /// The same divergence of each dimension, `[batch, latent]`; `None` if latent states were drawn, and for sequences
+    /// that were seen in parts.
+    pub divergences: Option<Tensor>,
 }
 
 /// How latent states are drawn.
@@ -376,7 +379,7 @@ pub trait Network: Send + Sync {
             states.push(self.act(&seen.state, &now(actions)?)?);
             divergences.push(seen.divergence);
         }
-        Ok(Seen { state: State::joined(&states)?, divergence: mean(divergences)? })
+        Ok(Seen { state: State::joined(&states)?, divergence: mean(divergences)?, divergences: None })
     }
 
     /// Returns the predicted sample. On the CPU its images have no gradient.
@@ -563,6 +566,16 @@ impl Posterior {
     /// When the distributions have different shapes.
     pub fn balanced_divergence(&self, prior: &Self, free: f64, representation: f64) -> Result<Tensor> {
         ops::balanced_divergence(&self.0, &prior.0, free, representation)
+    }
+
+    /// Returns the divergence of each dimension from `prior`, or from the standard normal distribution, in nats,
+    /// `[batch, latent]`. `None` if latent states are drawn, because only tests need it.
+    ///
+    /// # Errors
+    /// When the distributions have different shapes.
+    fn divergences(&self, prior: Option<&Self>, draw: &Draw) -> Result<Option<Tensor>> {
+        let of_mean = matches!(draw, Draw::Mean);
+        of_mean.then(|| ops::divergences(&self.0, prior.map(|prior| &prior.0))).transpose()
     }
 
     /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.

@@ -81,7 +81,8 @@ impl Unit for Rssm {
         };
         let prior = Posterior(self.prior.forward(&memory, false)?);
         let divergence = posterior.balanced_divergence(&prior, FREE_NATS, REPRESENTATION)?;
-        Ok(Seen { state: State { latent, action: None, memory: Some(memory) }, divergence })
+        let divergences = posterior.divergences(Some(&prior), draw)?;
+        Ok(Seen { state: State { latent, action: None, memory: Some(memory) }, divergence, divergences })
     }
 
     fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State> {

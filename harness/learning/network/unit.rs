@@ -114,7 +114,8 @@ impl Steps {
     /// Returns the states of samples that are seen.
     pub fn seen(self, draw: &mut Draw) -> Result<Seen> {
         let (latent, divergence) = (draw.latent(&self.posterior)?, self.posterior.kl_divergence()?);
-        Ok(Seen { state: State { latent, action: None, memory: Some(self.memory) }, divergence })
+        let divergences = self.posterior.divergences(None, draw)?;
+        Ok(Seen { state: State { latent, action: None, memory: Some(self.memory) }, divergence, divergences })
     }
 
     /// Returns the states of samples that are not seen.
