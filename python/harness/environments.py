@@ -8,7 +8,8 @@
     >>> step.observation["contact_force"].shape
     (20,)
 
-`load` creates an environment, as `dm_control.suite.load` does. It needs the package dm-env.
+`load` creates an environment, as `dm_control.suite.load` does. The module needs the package dm-env: `pip install
+'soft-harness[dm-env]'`.
 """
 
 from __future__ import annotations
@@ -17,10 +18,14 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import dm_env
 import numpy as np
-from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
+
+try:
+    import dm_env
+    from dm_env import specs
+except ImportError as error:
+    raise ImportError(f"harness.environments needs the package dm-env: pip install dm-env ({error})") from error
 
 from .episodes import Episodes, checked_seed, one_action
 
@@ -43,7 +48,8 @@ def load(
         task: `reach`, `press` or `push`, see `harness.tasks`; or None, without a goal and with every reward 0.
         seed: the seed of a dataset, whose episodes the environment goes through from the first one. The default is
             random.
-        modalities: names of the observed modalities, in addition to the task's `goal`. The default is all vectors.
+        modalities: names of the observed modalities, in addition to the task's `goal`. The default is all vectors, and
+            no image.
         samples: number of actions in an episode. An action takes 0.1 s with the default settings.
         spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
             experiment. The default is the world's own settings.

@@ -42,7 +42,7 @@ class Episodes:
         scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
         task: `reach`, `press` or `push`, see `harness.tasks`; or None, without a goal and with every reward 0.
         count: number of simulations, 1 to 4096.
-        modalities: names of the observed modalities. The default is all vectors.
+        modalities: names of the observed modalities. The default is all vectors, and no image.
         samples: number of actions in an episode. An action takes 0.1 s with the default settings.
         spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
             experiment. The default is the world's own settings.

@@ -28,11 +28,15 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError(f"harness.gymnasium needs the package gymnasium: pip install gymnasium ({error})") from error
 
 from ._arguments import integer
 from .episodes import Episodes, checked_seed, one_action
@@ -56,7 +60,7 @@ class SoftFinger(gymnasium.Env[Any, Any]):
     Args:
         scenario: a built-in world, such as `empty` or `cluttered`, or the path of a world file.
         task: `reach`, `press` or `push`, see `harness.tasks`; or None, without a goal and with every reward 0.
-        modalities: names of the observed modalities. The default is all vectors.
+        modalities: names of the observed modalities. The default is all vectors, and no image.
         samples: number of actions in an episode. An action takes 0.1 s with the default settings.
         spec: an experiment, whose simulation settings are used: the path of a YAML file, or the name of a built-in
             experiment. The default is the world's own settings.

@@ -1,6 +1,8 @@
 """Live simulations and environments: the projects' own checkers, and a dataset's samples."""
 
 import os
+import subprocess
+import sys
 import threading
 import warnings
 from pathlib import Path
@@ -23,6 +25,22 @@ from harness import environments
 from harness.tasks import Press, Push, Reach, State
 
 PAIRS = [("empty", "reach"), ("empty", "press"), ("cluttered", "reach"), ("cluttered", "press"), ("cluttered", "push")]
+
+
+@pytest.mark.parametrize(("module", "missing"), [("environments", "dm_env"), ("gymnasium", "gymnasium")])
+def test_a_missing_package_is_named_with_the_command_that_installs_it(module: str, missing: str) -> None:
+    program = f"import sys; sys.modules['{missing}'] = None; import harness.{module}"
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    package = missing.replace("_", "-")
+    expected = f"ImportError: harness.{module} needs the package {package}: pip install {package} ("
+    assert answer.stderr.splitlines()[-1].startswith(expected), answer.stderr
+
+
+def test_images_are_observed_if_they_are_named() -> None:
+    images = {"vision"}
+    assert not images & set(gymnasium.make("SoftFinger-Empty-v0").observation_space)
+    seeing = gymnasium.make("SoftFinger-Empty-v0", modalities=["arm", "vision"])
+    assert set(seeing.observation_space) == {"arm", "vision", "goal"}
 
 
 @pytest.mark.parametrize("scenario", ["empty", "cluttered"])
