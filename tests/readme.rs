@@ -1,6 +1,6 @@
 //! The commands of the README, typed in a copy of the repository, and what they print there.
 
-use crate::common::finish;
+use crate::common::{ask, finish};
 use std::path::Path;
 use std::process::Command;
 use tempfile::TempDir;
@@ -100,6 +100,13 @@ fn the_first_five_minutes_work_as_printed() {
     follow(&steps, folder.path());
     for file in ["instant.png", "figures/regression.svg", "report.html"] {
         assert!(folder.path().join(file).is_file(), "{file}");
+    }
+    // The first result is a success.
+    let r2 = "select model, value from metrics where experiment = 'first' and metric = 'r2' and index is null and \
+              direction is null";
+    for row in ask(&folder.path().join("results"), r2) {
+        let (model, r2) = (row["model"].as_str().unwrap(), row["value"].as_f64().unwrap());
+        assert!(if model == "network" { r2 > 0.9 } else { r2 < 0.2 }, "{model}: {r2}");
     }
 }
 

@@ -36,6 +36,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_multi_widths",
     "choose_recipe",
     "choose_sight",
+    "first",
     "force_assumptions",
     "latent_assumptions",
     "memory",
