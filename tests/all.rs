@@ -26,6 +26,7 @@ mod models;
 mod numbers;
 mod outside;
 mod pack;
+mod paths;
 mod plot;
 mod publish;
 mod readme;

@@ -97,7 +97,7 @@ impl Situation {
 }
 
 /// The commands in a text: those between backticks, after `repair:`, in HTML and at the end of a line.
-fn suggested(text: &str) -> BTreeSet<String> {
+pub fn suggested(text: &str) -> BTreeSet<String> {
     let mut commands = BTreeSet::new();
     let begins = |text: &str| ["harness ", "rm ", "mkdir "].iter().any(|begin| text.starts_with(begin));
     for line in text.lines() {
@@ -116,14 +116,15 @@ fn suggested(text: &str) -> BTreeSet<String> {
 
 /// Runs a command in a shell, in the repository's root, and returns its exit code.
 fn shell(command: &str) -> i32 {
+    shell_in(Path::new(env!("CARGO_MANIFEST_DIR")), command)
+}
+
+/// Runs a command in a shell in this folder, and returns its exit code.
+pub fn shell_in(folder: &Path, command: &str) -> i32 {
     let program = Path::new(env!("CARGO_BIN_EXE_harness")).parent().unwrap();
     let search = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let shell = Command::new("sh")
-        .args(["-c", command])
-        .env("PATH", search)
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .output()
-        .unwrap();
+    let shell =
+        Command::new("sh").args(["-c", command]).env("PATH", search).current_dir(folder).output().unwrap();
     shell.status.code().unwrap()
 }
 

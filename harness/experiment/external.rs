@@ -5,7 +5,7 @@ use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_dataset::AnyDataset;
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
-use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings};
+use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings, quoted};
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
 use harness_shared::progress::Progress;
@@ -521,7 +521,7 @@ fn judged_before(
         return Ok(None);
     }
     let run = record.name();
-    let remedy = registry.command(&format!("rm {run}"));
+    let remedy = registry.command(&format!("rm {}", quoted([&*run])));
     match &record.submission {
         Some(before) if before.predictions_sha256 == submission.predictions_sha256 => {
             if submission.network.is_some() && submission.network != before.network {

@@ -183,8 +183,8 @@ impl Asked {
                 option if option.starts_with("--models") => return None,
                 "--results" | "--threads" | "--jobs" | "--where" => drop(words.next()),
                 option if option.starts_with('-') => {}
-                setting if setting.contains('=') => asked.overrides.push(word),
-                path => asked.spec = path.into(),
+                path if asked.spec.as_os_str().is_empty() => asked.spec = path.into(),
+                _ => asked.overrides.push(word),
             }
         }
         (!asked.spec.as_os_str().is_empty()).then_some(asked)
