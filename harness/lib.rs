@@ -28,7 +28,7 @@ pub use harness_registry as registry;
 pub use harness_report as report;
 pub use harness_samples as samples;
 pub use harness_serve as serve;
-pub use harness_shared::{files, memory, numbers, progress, seal, shard};
+pub use harness_shared::{files, meant, memory, nearest, numbers, progress, seal, shard};
 pub use harness_simulation as simulation;
 pub use harness_spec as spec;
 pub use harness_sql as sql;

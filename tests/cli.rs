@@ -1,6 +1,6 @@
 //! The program from its users' point of view: a whole experiment, every command, and bad input.
 
-use crate::common::{Answer, PATIENCE, SMOKE, finish, harness, smoke_run, succeed};
+use crate::common::{Answer, PATIENCE, SMOKE, ask, finish, harness, smoke_run, succeed};
 use harness::files::UNFINISHED;
 use harness::tables::read_footer;
 use image::AnimationDecoder;
@@ -560,6 +560,22 @@ fn the_doctor_names_what_is_there_and_what_is_not() {
 }
 
 #[test]
+fn the_doctor_says_which_device_renders_and_which_variables_do_not_choose_it() {
+    let rendering = |device: &str| {
+        let mut doctor = harness(&RESULTS, &["doctor"]);
+        doctor.env("MUJOCO_GL", "egl").env("MUJOCO_EGL_DEVICE_ID", device);
+        let answer = finish(&mut doctor).stdout;
+        let line = answer.split("ok    MuJoCo").next().unwrap();
+        line.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let line = rendering("");
+    assert!(line.contains("device of EGL") || line.contains("EGL device"), "{line}");
+    assert!(!line.contains("no effect"), "{line}");
+    let line = rendering("7");
+    assert!(line.contains("; MUJOCO_EGL_DEVICE_ID=7 has no effect: the harness renders with EGL"), "{line}");
+}
+
+#[test]
 fn one_option_of_all_commands_names_the_file_or_folder_to_write() {
     for command in
         ["query", "ls", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"]
@@ -898,4 +914,82 @@ fn an_ablation_of_the_camera_is_valid_and_runs() {
     assert!(ran.contains("2 done, 0 done before, 0 failed"), "{ran}");
     let shown = succeed(&results, &["show", "smoke/empty-z4-input=proprioception+vision", "--all"]);
     assert!(shown.contains("\n  channels:\n  - 4\n"), "{shown}");
+}
+
+#[test]
+fn a_latent_state_that_nothing_uses_is_shown_with_its_divergence() {
+    let results = Folder::new().path("results");
+    let one = ["scenarios=[empty]", "tasks=[prediction]"];
+    // A large weight of the divergence makes the posterior equal to what is expected before the sample.
+    for (name, settings) in [
+        ("used", &["training.kl_weight=0"][..]),
+        ("unused", &["training.kl_weight=100", "training.epochs=30"]),
+    ] {
+        let name = format!("name={name}");
+        succeed(&results, &[&["run", SMOKE, &name][..], &one, settings].concat());
+    }
+    let latent = |name: &str| {
+        let shown = succeed(&results, &["show", &format!("{name}/empty")]);
+        let line = shown.lines().find(|line| line.starts_with("latent")).unwrap().to_owned();
+        line.split_whitespace().skip(1).map(str::to_owned).collect::<Vec<_>>().join(" ")
+    };
+    assert!(latent("used").starts_with("4, 4 active (KL "), "{}", latent("used"));
+    assert!(latent("unused").starts_with("4, 0 active (KL 0.00"), "{}", latent("unused"));
+    let table = succeed(&results, &["compare", "--metrics", "kl,active", "--models", "network"]);
+    assert!(table.contains("KL (nats)") && table.contains("active (dimensions)"), "{table}");
+    let rows = ask(&results, "select index, value from metrics where experiment = 'used' and metric = 'kl'");
+    let value = |row: &serde_json::Value| row["value"].as_f64().unwrap();
+    let (whole, each): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row["index"].is_null());
+    let sum: f64 = each.iter().map(|row| value(row)).sum();
+    assert!(whole.len() == 1 && each.len() == 4 && (value(whole[0]) - sum).abs() < 1e-12, "{rows:?}");
+}
+
+#[test]
+fn what_was_probably_meant_is_named() {
+    let cases: [(&[&str], &[&str]); 14] = [
+        (&["rnu"], &["'run'"]),
+        (&["world", "chekc", "empty"], &["'check'"]),
+        (
+            &["show", "smoke/none"],
+            &[
+                "no run matches 'smoke/none'; the runs of this experiment are cluttered-z4-seed0-",
+                "ls smoke` lists them",
+            ],
+        ),
+        (&["diff", "smoke/none", "smoke/empty"], &["the runs of this experiment are "]),
+        (&["ls", "smok"], &["no run of 'smok' has started; did you mean 'smoke'?"]),
+        (&["plot", "--x", "latent", "--y", "R2"], &["did you mean 'r2'? available: "]),
+        (
+            &["plot", "--x", "latent", "--y", "r2", "--modality", "contact_forc"],
+            &["did you mean 'contact_force'?"],
+        ),
+        (&["compare", "--metrics", "R2"], &["there is no metric 'R2'; did you mean 'r2'? the metrics are"]),
+        (&["compare", "--models", "rigde"], &["there is no model 'rigde'; did you mean 'ridge'?"]),
+        (&["compare", "--modality", "visoin"], &["no run predicts 'visoin'; did you mean"]),
+        (&["compare", "--horizon", "0.5s"], &["a number of samples, not a time", "0.5 s are 5 samples"]),
+        (
+            &["render", "smoke/empty", "--horizon", "0.5s", "--output", "x.png"],
+            &["a number of samples, not a time"],
+        ),
+        (
+            &["run", SMOKE, "latent=[4,", "8]"],
+            &[
+                "override 'latent=[4,': is a part of a list that the shell divided at a space",
+                "quotes: 'latent=[4, 8]'",
+            ],
+        ),
+        (&["validate", SMOKE, "vary={latent:", "[4,", "8]}"], &["quotes: 'vary={latent: [4, 8]}'"]),
+    ];
+    for (arguments, parts) in cases {
+        let answer = finish(&mut harness(&RESULTS, arguments));
+        assert_eq!(answer.code, 2, "{arguments:?}: {}", answer.stderr);
+        for part in parts {
+            assert!(answer.stderr.contains(part), "{arguments:?} does not say {part}: {}", answer.stderr);
+        }
+    }
+    let folder = Folder::new();
+    let smoke = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
+    let path = folder.write("versioned.yaml", &format!("version: 9\n{smoke}"));
+    let message = refusal(&["validate", &path], 2);
+    assert!(message.contains(":1:1: there is no key 'version'; leave it out: each run records"), "{message}");
 }

@@ -1,11 +1,11 @@
 //! `harness compare`.
 
-use super::DONE;
 use super::format::{Destination, Form};
 use super::plot::key;
 use super::results::BY_UNIT;
 use super::sheet::{MOST_COLUMNS, Sheet, Style};
 use super::table::width;
+use super::{DONE, samples};
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -14,6 +14,7 @@ use harness::analysis::{
     replicates_of, usual_key,
 };
 use harness::judge::models;
+use harness::meant;
 use harness::metrics::{Metric, best};
 use harness::numbers::{Natural, counted};
 use harness::registry::Registry;
@@ -34,7 +35,8 @@ pub struct Compare {
     by: Vec<Key>,
     /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, relative_error_REGION for the
     /// pixels of a region, such as finger, r2_KIND for a kind of contact, such as ground, r2_from_Ns for the samples
-    /// after N s, skill over persistence, or skill_horizon, up to which the skill is positive
+    /// after N s, skill over persistence, skill_horizon, up to which the skill is positive, kl of the latent state, or
+    /// active, the number of its dimensions that are used
     #[arg(
         long,
         value_name = "METRIC",
@@ -59,7 +61,7 @@ pub struct Compare {
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     modality: Vec<String>,
     /// Compare predictions N samples ahead. Several numbers, separated by commas, are rows [default: the next sample]
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = samples)]
     horizon: Vec<u32>,
     /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those
     /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline
@@ -95,17 +97,22 @@ pub enum CompareError {
     #[error("no run has these metrics for this task and model; `{0}` lists those that runs have")]
     Empty(String),
     /// A metric is none of the harness, and no run has it as a metric of the user.
-    #[error("there is no metric '{wanted}'; {allowed}{}", own.iter().map(|own| format!(", {own}")).collect::<String>())]
+    #[error(
+        "there is no metric '{wanted}'{meant}; {allowed}{}",
+        own.iter().map(|own| format!(", {own}")).collect::<String>()
+    )]
     Metric {
         /// The name.
         wanted: String,
+        /// Which metric was probably meant, in words.
+        meant: String,
         /// The metrics of the harness, in words.
         allowed: String,
         /// The metrics that users added to runs.
         own: BTreeSet<String>,
     },
     /// A model is none of the harness, and no run is of a model of that name.
-    #[error("there is no model '{wanted}'; there are {known}")]
+    #[error("there is no model '{wanted}'{}; there are {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
     Model {
         /// The name.
         wanted: String,
@@ -121,7 +128,7 @@ pub enum CompareError {
         columns: Vec<String>,
     },
     /// No run predicts a modality.
-    #[error("no run predicts '{wanted}'; they predict {known}")]
+    #[error("no run predicts '{wanted}'{}; they predict {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
     Modality {
         /// The name.
         wanted: String,
@@ -242,7 +249,10 @@ impl Compare {
             let names = means.iter().map(|mean| &mean.of.metric);
             let own: BTreeSet<String> = names.filter(|name| Metric::named(name).is_none()).cloned().collect();
             if !own.contains(wanted) {
-                return Err(CompareError::Metric { wanted: wanted.clone(), allowed, own });
+                let mut names: Vec<&str> = Metric::all().map(|metric| metric.name()).collect();
+                names.extend(own.iter().map(|own| own.as_str()));
+                let meant = meant(wanted, &names);
+                return Err(CompareError::Metric { wanted: wanted.clone(), meant, allowed, own });
             }
         }
         Ok(())

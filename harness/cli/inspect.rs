@@ -2,13 +2,14 @@
 
 use super::format::{Destination, Form, print_page};
 use super::layers;
-use super::results::{self, Metrics};
+use super::results::{self, LatentUse, Metrics};
 use super::sheet::{MISSING, Style};
 use super::table::{Grid, print, print_beside, print_command, print_text, shown, width};
 use super::{DONE, submit};
 use anyhow::Result;
 use clap::Args;
 use harness::catalog;
+use harness::meant;
 use harness::numbers::{Natural, duration};
 use harness::registry::{Registry, RegistryError, RunFolder, RunRecord, quoted, tags_of};
 use harness::schema::{Column, Table, sample_columns};
@@ -145,10 +146,12 @@ struct Listed {
 
 /// No run of an experiment has started.
 #[derive(Debug, thiserror::Error)]
-#[error("no run of '{wanted}' has started; `{list}` lists the experiments")]
+#[error("no run of '{wanted}' has started{meant}; `{list}` lists the experiments")]
 pub struct NotStarted {
     /// The name of the experiment.
     wanted: String,
+    /// Which experiment was probably meant, in words.
+    meant: String,
     /// The command that lists all runs.
     list: String,
 }
@@ -161,7 +164,8 @@ pub fn check_started<'a>(
 ) -> Result<()> {
     let there: BTreeSet<&str> = records.into_iter().map(|record| record.experiment.as_str()).collect();
     if let Some(wanted) = experiments.iter().find(|name| !there.contains(name.as_str())) {
-        return Err(NotStarted { wanted: wanted.clone(), list: registry.command("ls") }.into());
+        let meant = meant(wanted, &there.into_iter().collect::<Vec<_>>());
+        return Err(NotStarted { wanted: wanted.clone(), meant, list: registry.command("ls") }.into());
     }
     Ok(())
 }
@@ -269,6 +273,11 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
         .map(|(stage, seconds)| format!("{stage} {}", duration(seconds)))
         .collect();
     lines.retain(|(name, value)| ESSENTIAL.contains(&name.as_str()) && !value.is_empty());
+    let is_run = |other: &RunRecord| other.name() == record.name();
+    if let Some(used) = LatentUse::of(registry, is_run)? {
+        let of_latent = lines.iter_mut().filter(|(name, _)| name == "latent");
+        of_latent.for_each(|(_, size)| *size = format!("{size}, {used}"));
+    }
     if let Some(submission) = &record.submission {
         lines.push(("task".to_owned(), submission.task.clone()));
         lines.push(("predictions_sha256".to_owned(), submission.predictions_sha256.clone()));
@@ -278,7 +287,6 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
     lines.push(("time".to_owned(), seconds.join(", ")));
     lines.push(("folder".to_owned(), shown(folder.path())));
     print_beside(lines);
-    let is_run = |other: &RunRecord| other.name() == record.name();
     let sheet = results::sheet(registry, Metrics::Main, is_run)?;
     if !sheet.rows.is_empty() {
         print!("\n{}", sheet.render(Style::Text, width()));

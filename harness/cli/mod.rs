@@ -34,6 +34,7 @@ mod world;
 
 use anyhow::bail;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 use harness::analysis::AnalysisError;
@@ -44,6 +45,7 @@ use harness::dataset::DatasetError;
 use harness::experiment::{ExperimentError, ModelError, RolloutError, describe, results as results_folder};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
+use harness::nearest;
 use harness::registry::{Registry, RegistryError, quoted};
 use harness::report::ReportError;
 use harness::simulation::SimulationError;
@@ -59,9 +61,9 @@ use std::sync::OnceLock;
 #[command(
     version,
     after_help = "Examples:
-  harness run smoke                               every stage, in seconds
-  harness run multi_to_multi --quick              a first result, in minutes
-  harness compare smoke
+  harness run first                               a first result, in seconds
+  harness run multi_to_multi --quick              the paper's networks, in minutes
+  harness compare first
   harness query \"select run, status, prediction_seconds from runs\"
   harness render cluttered --output scene.png
 
@@ -84,6 +86,21 @@ struct Arguments {
 
 fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
     Ok(path.into())
+}
+
+/// Parses a number of samples. A time is refused with a word about the difference.
+fn samples(text: &str) -> Result<u32, String> {
+    if text.strip_suffix('s').is_some_and(|seconds| seconds.parse::<f64>().is_ok()) {
+        return Err(
+            "it is a number of samples, not a time; at the 10 samples per second of the built-in worlds, \
+                    0.5 s are 5 samples"
+                .into(),
+        );
+    }
+    text.parse()
+        .ok()
+        .filter(|samples| *samples > 0)
+        .ok_or("it must be a whole number of samples, at least 1".into())
 }
 
 /// A parser for names of shells, whose error lists all names.
@@ -486,8 +503,26 @@ fn parsed(arguments: &[OsString]) -> Result<Arguments, clap::Error> {
     if let Some(limit) = table::width() {
         command = with_fitting_examples(command, limit);
     }
-    let matches = command.try_get_matches_from_mut(arguments)?;
+    let matches = command.try_get_matches_from_mut(arguments);
+    let matches = matches.map_err(|error| with_nearest_command(error, &command, arguments))?;
     Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
+}
+
+/// Adds the command that was probably meant to the error about a command that there is not.
+fn with_nearest_command(
+    mut error: clap::Error,
+    command: &clap::Command,
+    arguments: &[OsString],
+) -> clap::Error {
+    let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
+    // The last command before the wrong one is the one whose subcommands were meant.
+    let known = arguments.iter().filter_map(|word| word.to_str()).take_while(|word| word != wanted);
+    let of = known.fold(command, |command, word| command.find_subcommand(word).unwrap_or(command));
+    let names: Vec<&str> = of.get_subcommands().map(clap::Command::get_name).collect();
+    if let Some(name) = nearest(wanted, &names).map(str::to_owned) {
+        error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(vec![name]));
+    }
+    error
 }
 
 /// Makes the examples of a command and of its subcommands fit the terminal. An example is a line that begins with two

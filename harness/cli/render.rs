@@ -1,9 +1,9 @@
 //! `harness render`: images and clips of a scene, an episode, or the predictions of a run.
 
-use super::DONE;
 use super::progress::Bars;
 use super::rollout::{Asked, frames};
 use super::table::shown;
+use super::{DONE, samples};
 use anyhow::Result;
 use clap::Args;
 use harness::files::{WriteError, write_whole};
@@ -18,6 +18,15 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// Parses the number of samples that a network predicts ahead.
+fn horizon(text: &str) -> Result<u32, String> {
+    const MOST: u32 = 1000;
+    samples(text).and_then(|samples| match samples {
+        ..=MOST => Ok(samples),
+        _ => Err(format!("it must be at most {MOST} samples")),
+    })
+}
+
 #[derive(Args)]
 pub struct Render {
     /// A world file, or the name of a built-in world (`harness world list` lists them). With --horizon, a run, as
@@ -29,7 +38,7 @@ pub struct Render {
     output: PathBuf,
     /// Show what the network of a run predicts this number of samples ahead, beside what was recorded: the camera, the
     /// predicted images, and the forces
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000),
+    #[arg(long, value_name = "N", value_parser = horizon,
           conflicts_with_all = ["spec", "camera", "as_seen", "width", "height"])]
     horizon: Option<u32>,
     /// The episode to show, counted from 0. It is simulated again, or read from the dataset of a run [default: the

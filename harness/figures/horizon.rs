@@ -8,6 +8,7 @@ use super::source::{Source, no_runs};
 use super::{Drawing, FigureError};
 use harness_analysis::{Key, Label, Labels, Mean, models};
 use harness_metrics::Metric;
+use harness_shared::meant;
 use harness_spec::{Modality, Task};
 use polars::prelude::*;
 use std::collections::BTreeSet;
@@ -48,7 +49,8 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let has = |metric: Metric| shown.iter().any(|mean| mean.of.metric == metric.name());
     let error = if has(Metric::R2) { Metric::R2 } else { Metric::RelativeError };
     if !has(error) {
-        return Err(FigureError::NoMeans { there: there.into_iter().collect() });
+        let meant = meant(modality, &there.iter().map(String::as_str).collect::<Vec<_>>());
+        return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
     }
     let labels = Labels::new(analysis, &[]);
     let differ = |key: &Key| values(*key, &shown, &labels).len() > 1;

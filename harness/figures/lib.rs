@@ -93,10 +93,12 @@ pub enum FigureError {
     },
     /// No finished run has the metric of a plot.
     #[error(
-        "no finished run has this metric for this task and modality; available: {}",
+        "no finished run has this metric for this task and modality{meant}; available: {}",
         if there.is_empty() { "none".into() } else { there.join(", ") }
     )]
     NoMeans {
+        /// Which metric or modality was probably meant, in words.
+        meant: String,
         /// What there is, such as `r2 of contact_force`.
         there: Vec<String>,
     },

@@ -7,6 +7,7 @@ use super::{Drawing, FigureError};
 use harness_analysis::models::{NETWORK, PERSISTENCE};
 use harness_analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, replicates_of};
 use harness_metrics::{Metric, label};
+use harness_shared::meant;
 use harness_shared::numbers::rounded;
 use harness_spec::Task;
 use std::collections::{BTreeMap, BTreeSet};
@@ -122,7 +123,14 @@ impl Plot {
         if means.is_empty() {
             let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.predicted()));
             let there: BTreeSet<String> = there.collect();
-            return Err(FigureError::NoMeans { there: there.into_iter().collect() });
+            let metrics: Vec<&str> = all.iter().map(|mean| mean.of.metric.as_str()).collect();
+            let modalities: Vec<&str> = all.iter().map(|mean| mean.of.modality.name()).collect();
+            let meant = match &self.modality {
+                _ if !metrics.contains(&&*self.y) => meant(&self.y, &metrics),
+                Some(modality) if !modalities.contains(&&**modality) => meant(modality, &modalities),
+                _ => String::new(),
+            };
+            return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
         }
         self.draw_means(&means, &Labels::new(analysis, &keys))
     }

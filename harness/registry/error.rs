@@ -67,14 +67,19 @@ pub enum RegistryError {
         episodes: u32,
     },
     /// No run has a name that begins with the wanted text.
-    #[error("no run matches '{wanted}'{}; `{list}` lists them", nearest.as_ref().map(|n| format!(", the nearest is \
-        '{n}'")).unwrap_or_default())]
+    #[error("no run matches '{wanted}'{}; `{list}` lists them", match (nearest, there.as_slice()) {
+        (Some(nearest), _) => format!(", the nearest is '{nearest}'"),
+        (None, []) => String::new(),
+        (None, there) => format!("; the runs of this experiment are {}", first(there)),
+    })]
     Unknown {
         /// The wanted text.
         wanted: String,
         /// The run that was probably meant.
         nearest: Option<String>,
-        /// The command that lists all runs.
+        /// The ids of the runs of the experiment, if the text names one.
+        there: Vec<String>,
+        /// The command that lists all runs, or those of the experiment.
         list: String,
     },
     /// A metric can't be added to a run.

@@ -1,5 +1,6 @@
 //! The runs that a user names: by the beginning of a name, or by the path of a folder.
 
+use super::command_line::quoted;
 use super::folders::Recorded;
 use super::{Registry, RegistryError, RunFolder, RunRecord};
 use harness_shared::files::{real, within};
@@ -62,11 +63,19 @@ impl Registry {
         name.unwrap_or(wanted).to_owned()
     }
 
-    /// The error that no run matches `wanted`. It names the nearest run.
+    /// The error that no run matches `wanted`. It names the nearest run, or those of the experiment in `wanted`.
     fn unknown(&self, wanted: &str) -> RegistryError {
-        let names = self.records().into_iter().flat_map(|record| [record.run.clone(), record.name()]);
+        let records = self.records();
+        let names = records.iter().flat_map(|record| [record.run.clone(), record.name()]);
         let nearest = beginning_nearest(wanted, &names.collect::<Vec<_>>());
-        RegistryError::Unknown { wanted: wanted.to_owned(), nearest, list: self.command("ls") }
+        let experiment = wanted.split_once('/').map(|(experiment, _)| experiment);
+        let own = records.iter().filter(|record| Some(&*record.experiment) == experiment);
+        let there: Vec<String> = own.map(|record| record.run.clone()).collect();
+        let list = match experiment.filter(|_| !there.is_empty()) {
+            Some(experiment) => self.command(&format!("ls {}", quoted([experiment]))),
+            None => self.command("ls"),
+        };
+        RegistryError::Unknown { wanted: wanted.to_owned(), nearest, there, list }
     }
 }
 

@@ -11,5 +11,5 @@ pub mod shard;
 mod sobol;
 pub mod turns;
 
-pub use nearest::nearest;
+pub use nearest::{meant, nearest};
 pub use sobol::{SOBOL_DIMENSIONS, sobol};

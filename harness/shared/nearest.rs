@@ -17,3 +17,8 @@ pub fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
     };
     nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
 }
+
+/// Returns `; did you mean 'NAME'?` with the name that was probably meant, or nothing.
+pub fn meant(found: &str, names: &[&str]) -> String {
+    nearest(found, names).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
+}

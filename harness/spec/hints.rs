@@ -25,8 +25,14 @@ fn others(definition: &str) -> &'static str {
     }
 }
 
-/// The message about a list in `vary` that has its own key at the top of a spec.
+/// The message about a version, which other programs' files have, and about a list in `vary` that has its own key at the
+/// top of a spec.
 fn unknown_key(entry: &Entry, path: &str) -> Option<String> {
+    if entry.key == "version" && path.is_empty() {
+        return Some(
+            "there is no key 'version'; leave it out: each run records the version of the harness that made it".into(),
+        );
+    }
     /// The lists of a spec of which each value has its own runs.
     const LISTS: [&str; 3] = ["scenarios", "latent", "seeds"];
     if path.rsplit('.').next() != Some("vary") || !LISTS.contains(&entry.key.as_str()) {

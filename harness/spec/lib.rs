@@ -169,7 +169,7 @@ fn load_text(
     if quick {
         tree = quick_tree;
     }
-    let overrides = overrides.iter().map(|text| overrides::read(text)).collect::<Result<Vec<_>, _>>()?;
+    let overrides = overrides::read_all(overrides)?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
     ablation::list_inputs(&mut tree)?;

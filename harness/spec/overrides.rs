@@ -12,8 +12,38 @@ const SEARCH: &str = "search";
 const READINGS: &str = "readings";
 const ROLES: &str = "roles";
 
+/// Reads settings, each written as `KEY=VALUE`.
+pub(super) fn read_all(texts: &[String]) -> Result<Vec<Entry>, Problem> {
+    let one = |(index, text): (usize, &String)| {
+        read(text).map_err(|problem| match divided(&texts[index..]) {
+            Some(whole) => Problem::new(
+                &Place::Override(shorten(text)),
+                format!("is a part of a list that the shell divided at a space; put the setting in quotes: '{whole}'"),
+            ),
+            None => problem,
+        })
+    };
+    texts.iter().enumerate().map(one).collect()
+}
+
+/// Returns the setting with a list or a section that a shell has divided into the first of these words, if they begin
+/// with such a setting.
+fn divided(words: &[String]) -> Option<String> {
+    let is_whole = |text: &str| {
+        let count = |brackets: &[char]| text.matches(brackets).count();
+        count(&['[', '{']) == count(&[']', '}'])
+    };
+    if words.first().is_none_or(|first| is_whole(first) || !first.contains('=')) {
+        return None;
+    }
+    (2..=words.len())
+        .map(|count| words[..count].join(" "))
+        .find(|joined| is_whole(joined))
+        .filter(|whole| read(whole).is_ok() && !whole.contains('\''))
+}
+
 /// Reads `KEY=VALUE`: the dotted key of a setting, and its value in YAML.
-pub(super) fn read(text: &str) -> Result<Entry, Problem> {
+fn read(text: &str) -> Result<Entry, Problem> {
     let place = Place::Override(shorten(text));
     let Some((key, value)) = text.split_once('=') else {
         return Err(Problem::new(&place, "has no '='; write KEY=VALUE, as in training.epochs=3"));
