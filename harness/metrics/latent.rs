@@ -7,9 +7,13 @@ use harness_spec::Modality;
 /// depends on what the network sees (posterior collapse).
 pub const ACTIVE_NATS: f64 = 0.01;
 
-/// Returns the rows of the metrics table about a latent state, given the mean divergence of each of its dimensions over
-/// the test windows, in nats: their sum, the number of active dimensions, and each divergence.
+/// Returns the rows of the metrics table about a latent state: the sum of its divergences, the number of active
+/// dimensions, and each divergence. `divergences` has the mean of each dimension over the test windows, in nats; it is
+/// empty if there are none.
 pub fn rows(divergences: &[f64]) -> Vec<Row> {
+    if divergences.is_empty() {
+        return Vec::new();
+    }
     let row = |metric: Metric, index: Option<u32>, value: f64, unit: &str| Row {
         modality: Modality::LATENT,
         direction: None,
