@@ -98,7 +98,7 @@ pub enum CompareError {
     Empty(String),
     /// A metric is none of the harness, and no run has it as a metric of the user.
     #[error(
-        "there is no metric '{wanted}'{meant}; {allowed}{}",
+        "there is no metric '{wanted}'{meant}{allowed}{}",
         own.iter().map(|own| format!(", {own}")).collect::<String>()
     )]
     Metric {
@@ -112,7 +112,7 @@ pub enum CompareError {
         own: BTreeSet<String>,
     },
     /// A model is none of the harness, and no run is of a model of that name.
-    #[error("there is no model '{wanted}'{}; there are {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
+    #[error("there is no model '{wanted}'{}there are {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
     Model {
         /// The name.
         wanted: String,
@@ -128,7 +128,7 @@ pub enum CompareError {
         columns: Vec<String>,
     },
     /// No run predicts a modality.
-    #[error("no run predicts '{wanted}'{}; they predict {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
+    #[error("no run predicts '{wanted}'{}they predict {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
     Modality {
         /// The name.
         wanted: String,

@@ -45,9 +45,10 @@ fn renderer() -> std::result::Result<String, String> {
     let ignored = match set.as_slice() {
         [] => String::new(),
         set => format!(
-            "; {} has no effect: the harness renders with EGL, on the first device that opens a context, and \
+            "; {} {} no effect: the harness renders with EGL, on the first device that opens a context, and \
              __EGL_VENDOR_LIBRARY_FILENAMES chooses the driver",
-            set.join(", ")
+            set.join(" and "),
+            if set.len() == 1 { "has" } else { "have" }
         ),
     };
     Ok(format!("{name}{}{ignored}", device.unwrap_or_default()))

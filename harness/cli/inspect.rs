@@ -146,7 +146,7 @@ struct Listed {
 
 /// No run of an experiment has started.
 #[derive(Debug, thiserror::Error)]
-#[error("no run of '{wanted}' has started{meant}; `{list}` lists the experiments")]
+#[error("no run of '{wanted}' has started{meant}`{list}` lists the experiments")]
 pub struct NotStarted {
     /// The name of the experiment.
     wanted: String,

@@ -93,7 +93,7 @@ pub enum FigureError {
     },
     /// No finished run has the metric of a plot.
     #[error(
-        "no finished run has this metric for this task and modality{meant}; available: {}",
+        "no finished run has this metric for this task and modality{meant}available: {}",
         if there.is_empty() { "none".into() } else { there.join(", ") }
     )]
     NoMeans {

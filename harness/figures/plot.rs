@@ -128,7 +128,7 @@ impl Plot {
             let meant = match &self.modality {
                 _ if !metrics.contains(&&*self.y) => meant(&self.y, &metrics),
                 Some(modality) if !modalities.contains(&&**modality) => meant(modality, &modalities),
-                _ => String::new(),
+                _ => "; ".to_owned(),
             };
             return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
         }

@@ -18,7 +18,7 @@ pub fn nearest<'a>(found: &str, names: &[&'a str]) -> Option<&'a str> {
     nearest_by(|name| name).or_else(|| nearest_by(|name| name.rsplit('.').next().unwrap_or(name)))
 }
 
-/// Returns `; did you mean 'NAME'?` with the name that was probably meant, or nothing.
+/// Returns `; did you mean 'NAME'? ` with the name that was probably meant, or `; `. More words can follow either.
 pub fn meant(found: &str, names: &[&str]) -> String {
-    nearest(found, names).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
+    nearest(found, names).map_or("; ".to_owned(), |name| format!("; did you mean '{name}'? "))
 }
