@@ -49,7 +49,10 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let has = |metric: Metric| shown.iter().any(|mean| mean.of.metric == metric.name());
     let error = if has(Metric::R2) { Metric::R2 } else { Metric::RelativeError };
     if !has(error) {
-        let meant = meant(modality, &there.iter().map(String::as_str).collect::<Vec<_>>());
+        let meant = match there.contains(modality) {
+            true => "; ".to_owned(),
+            false => meant(modality, &there.iter().map(String::as_str).collect::<Vec<_>>()),
+        };
         return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
     }
     let labels = Labels::new(analysis, &[]);
