@@ -1,6 +1,7 @@
 //! Features of MuJoCo that change what a recorded value means. docs/recorded-values.md describes each of them.
 
 use super::controls::Control;
+use super::load::can_sleep;
 use super::notes::listed;
 use super::resolve::{Reading, name_of};
 use super::scene::Scene;
@@ -34,7 +35,7 @@ impl Scene {
     /// Whether a contact is sensed that could be one of a sleeping body.
     fn senses_sleepers(&self) -> bool {
         let model = &self.model;
-        if model.opt().enableflags & MjtEnableBit::mjENBL_SLEEP as i32 == 0 {
+        if !can_sleep(model) {
             return false;
         }
         let awake = [MjtSleepPolicy::mjSLEEP_NEVER, MjtSleepPolicy::mjSLEEP_AUTO_NEVER];

@@ -12,20 +12,42 @@ const MESSAGE_LEN: usize = 4096;
 
 /// Compiles an MJCF file.
 pub(super) fn load_file(path: &Path) -> Result<MjModel, SimulationError> {
-    MjModel::from_xml(path).map_err(|error| {
+    let name = path.display().to_string();
+    let model = MjModel::from_xml(path).map_err(|error| {
         let whole = path.to_str().and_then(|path| message(path, std::ptr::null()));
-        compile_error(&path.display().to_string(), whole.map_or(error, MjModelError::LoadFailed))
-    })
+        compile_error(&name, whole.map_or(error, MjModelError::LoadFailed))
+    })?;
+    refuse_fatal(model, &name)
 }
 
 /// Compiles MJCF text, which messages call `name`.
 pub(super) fn load_text(xml: &str, name: &str) -> Result<MjModel, SimulationError> {
-    MjModel::from_xml_string(xml).map_err(|error| {
+    let model = MjModel::from_xml_string(xml).map_err(|error| {
         let (file, mut files) = ("model.xml", MjVfs::new());
         let added = files.add_from_buffer(file, xml.as_bytes());
         let whole = added.ok().and_then(|()| message(file, files.ffi()));
         compile_error(name, whole.map_or(error, MjModelError::LoadFailed))
-    })
+    })?;
+    refuse_fatal(model, name)
+}
+
+/// Refuses a model that compiles, but whose first step would end the process.
+fn refuse_fatal(model: MjModel, name: &str) -> Result<MjModel, SimulationError> {
+    let couples =
+        |equality: usize| model.eq_type()[equality] == MjtEq::mjEQ_TENDON && model.eq_active0()[equality];
+    if can_sleep(&model) && (0..model.neq() as usize).any(couples) {
+        let problem =
+            "MuJoCo does not support sleep=\"enable\" with an equality of tendons; remove the flag, or the \
+                       equality"
+                .to_owned();
+        return Err(SimulationError::Unsuitable { scene: name.to_owned(), problem });
+    }
+    Ok(model)
+}
+
+/// Whether bodies of a model can fall asleep.
+pub(super) fn can_sleep(model: &MjModel) -> bool {
+    model.opt().enableflags & MjtEnableBit::mjENBL_SLEEP as i32 != 0
 }
 
 /// Returns the reason why MuJoCo can't compile a file, with the path that messages call the model.

@@ -1,6 +1,7 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
+use super::load::can_sleep;
 use super::motion::Probe;
 use super::noise::Noise;
 use super::placement::check_start;
@@ -20,9 +21,11 @@ pub(super) struct Physics<'s> {
     pub timing: Timing,
     /// MuJoCo's state, with the episode's model.
     data: MjData<Arc<MjModel>>,
-    /// The state at the latest sampled instant, with all derived quantities. It is `None` if a step leaves those of the
-    /// instant at which it starts in `data`.
+    /// A copy of the state at the latest instant that was read, with all derived quantities. It is `None` if every step
+    /// leaves those of the instant at which it starts in `data`.
     sampled: Option<MjData<Arc<MjModel>>>,
+    /// Whether the latest step left those of another instant, so that the copy has to be read.
+    is_copied: bool,
     /// Whether forces are averaged over steps.
     averages: bool,
     /// Values at the latest sampled instant.
@@ -127,6 +130,19 @@ pub(super) fn sensed_position(layout: &Layout, modality: Modality) -> Option<usi
     layout.modalities.iter().position(is_it)
 }
 
+/// Whether each step evaluates the derived quantities at later instants within it, and leaves those of the last one.
+/// Only the sensors keep the values of the first.
+fn is_runge_kutta(model: &MjModel) -> bool {
+    model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32
+}
+
+/// Whether the next step may let bodies fall asleep. It then stops them, and computes the derived quantities once more.
+/// A negative number of a tree counts the steps until it may sleep: -2 before the last one, and -1 while it waits for
+/// the trees that it touches.
+fn may_fall_asleep(data: &MjData<Arc<MjModel>>) -> bool {
+    data.tree_asleep().iter().any(|tree| (-2..0).contains(tree))
+}
+
 /// Receives each sampled instant, and the state whose derived quantities (such as the poses for the camera) belong to
 /// it.
 pub(super) type Observer<'o> =
@@ -140,10 +156,8 @@ impl<'s> Physics<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let timing = scene.timing(spec)?;
         let data = MjData::new(scene.model.clone());
-        // Runge-Kutta evaluates the derived quantities at later instants within the step, and leaves those of the last
-        // one. Only the sensors keep the values of the first.
-        let overwrites = scene.model.opt().integrator == MjtIntegrator::mjINT_RK4 as i32;
-        let sampled = overwrites.then(|| MjData::new(scene.model.clone()));
+        let is_copied = is_runge_kutta(&scene.model);
+        let sampled = (is_copied || can_sleep(&scene.model)).then(|| MjData::new(scene.model.clone()));
         let averages =
             scene.readings.iter().flatten().any(|reading| matches!(reading, Reading::MeanForce(_)));
         let elements = scene.actuators.len();
@@ -165,6 +179,7 @@ impl<'s> Physics<'s> {
             timing,
             data,
             sampled,
+            is_copied,
             averages,
             instant,
             setpoint: vec![0.0; elements],
@@ -215,7 +230,7 @@ impl<'s> Physics<'s> {
     ///
     /// MuJoCo's step computes the forces and poses of the instant at which it starts, and then advances the positions.
     /// A sample therefore takes its positions before a step and everything else after it, at no extra cost. With the
-    /// Runge-Kutta integrator, a copy of the state computes them instead.
+    /// Runge-Kutta integrator, and where bodies may fall asleep, a copy of the state computes them instead.
     ///
     /// # Errors
     /// When the simulation diverges.
@@ -236,14 +251,17 @@ impl<'s> Physics<'s> {
             }
             let is_read = is_sample || self.averages || self.probe.is_some();
             if let Some(sampled) = self.sampled.as_mut().filter(|_| is_read) {
-                self.data.copy_to(sampled).expect("both have the episode's model");
-                sampled.forward();
+                self.is_copied = is_runge_kutta(&self.scene.model) || may_fall_asleep(&self.data);
+                if self.is_copied {
+                    self.data.copy_to(sampled).expect("both have the episode's model");
+                    sampled.forward();
+                }
             }
             self.resting.fall_asleep(self.scene, &self.data);
             self.data.step();
             self.resting.wake(&self.data);
             if self.step == 0 {
-                check_start(self.scene, self.episode, self.sampled.as_ref().unwrap_or(&self.data))?;
+                check_start(self.scene, self.episode, self.derived())?;
             }
             if let Some(what) = instability(&self.data) {
                 let time_s = self.step as f64 * self.timing.step_s;
@@ -251,7 +269,7 @@ impl<'s> Physics<'s> {
                 return Err(SimulationError::Diverged { scene, episode: self.episode, time_s, what });
             }
             self.step += 1;
-            let data = self.sampled.as_ref().unwrap_or(&self.data);
+            let data = self.sampled.as_ref().filter(|_| self.is_copied).unwrap_or(&self.data);
             if is_read {
                 sum_forces(self.scene, data, &self.resting, &mut self.forces);
                 self.mean.add(&self.forces);
@@ -280,12 +298,12 @@ impl<'s> Physics<'s> {
 
     /// Returns the values at the latest sampled instant, and the state whose derived quantities belong to it.
     pub fn sampled(&mut self) -> (&Instant, &mut MjData<Arc<MjModel>>) {
-        (&self.instant, self.sampled.as_mut().unwrap_or(&mut self.data))
+        (&self.instant, self.sampled.as_mut().filter(|_| self.is_copied).unwrap_or(&mut self.data))
     }
 
     /// Returns the state whose derived quantities belong to the latest sampled instant.
     pub fn derived(&self) -> &MjData<Arc<MjModel>> {
-        self.sampled.as_ref().unwrap_or(&self.data)
+        self.sampled.as_ref().filter(|_| self.is_copied).unwrap_or(&self.data)
     }
 
     /// Returns the number of steps since the start of the episode.

@@ -1,5 +1,6 @@
 //! Values that are computed from the state after each step: contact forces, and MuJoCo's warnings.
 
+use super::load::can_sleep;
 use super::resolve::ContactKinds;
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
@@ -98,7 +99,7 @@ impl Resting {
     pub fn restart(&mut self, scene: &Scene, data: &MjData<Arc<MjModel>>) {
         self.touches.clear();
         self.asleep.clear();
-        if scene.forces == 0 || data.model().opt().enableflags & MjtEnableBit::mjENBL_SLEEP as i32 == 0 {
+        if scene.forces == 0 || !can_sleep(data.model()) {
             return;
         }
         self.asleep.resize(data.tree_asleep().len(), false);

@@ -125,3 +125,31 @@ fn a_live_simulation_with_runge_kutta_senses_its_episode() {
         }
     }
 }
+
+/// A puck that falls asleep while it slides, because it is slower than the tolerance for ten steps.
+const PUCK: &str = r#"<mujoco>
+  <option timestep="0.01" gravity="0.1 0 0" sleep_tolerance="1"><flag sleep="enable"/></option>
+  <worldbody>
+    <body><joint name="swing" axis="0 1 0"/><geom size="0.1" contype="0" conaffinity="0"/></body>
+    <body pos="0 1 0"><joint name="slide" type="slide" axis="1 0 0"/><geom size="0.1"/></body>
+  </worldbody>
+  <actuator><motor name="swing" joint="swing" ctrlrange="-1 1"/></actuator>
+  <sensor><jointvel name="speed" joint="slide"/></sensor>
+</mujoco>
+"#;
+
+/// The step that lets it fall asleep stops it, and computes all sensors once more.
+#[test]
+fn values_belong_to_their_instant_when_a_body_falls_asleep() {
+    let text = "model: puck.xml\nstep_rate_hz: 100\nmodalities:\n  speed: {joint_velocities: slide}\n  \
+                sensed_speed: {sensor: speed, unit: m/s}\naction:\n  seconds: 0.5\n  \
+                actuators: {swing: {range: [-1, 1]}}\n";
+    let world = World::parse("puck.yaml", Some("".into()), "puck", text).unwrap();
+    let scene = Scene::from_xml(world.into(), PUCK, "puck.xml".into()).unwrap();
+    let spec = Simulation { sample_rate_hz: 100.0, actuations_per_episode: 1, ..spec() };
+    let episode = simulate(&scene, &spec, 0);
+    let (speed, sensed) = (values(&episode, "speed"), values(&episode, "sensed_speed"));
+    assert_eq!(speed, sensed);
+    let moving = speed.iter().filter(|speed| **speed > 0.0).count();
+    assert!((5..speed.len() - 5).contains(&moving), "it moves, and then sleeps: {speed:?}");
+}
