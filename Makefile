@@ -53,7 +53,7 @@ wheel: ## build dist/*.whl, which can be installed without Rust or a compiler (a
 wheel-trial: ## install dist/*.whl in a bare Debian and run an experiment there (minutes; needs root and debootstrap)
 	setup/wheel_trial.sh
 
-soak: ## kill runs, searches and collections at many moments; fuzz every reader; compare foreign robots (an hour)
+soak: ## kill runs, searches and collections at many moments; fuzz every reader; compare foreign and random models (an hour)
 	@setup/setup.sh --test
 	@setup/setup.sh --models
 	cargo test -- --ignored --nocapture

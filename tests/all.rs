@@ -29,6 +29,7 @@ mod pack;
 mod paths;
 mod plot;
 mod publish;
+mod random_models;
 mod readme;
 mod reference;
 mod removal;

@@ -1,13 +1,11 @@
 //! Robot models that nobody here wrote, from packages of dm_control and MuJoCo. Each goes through the commands that a
 //! new user calls. What was recorded is compared with what Python's `mujoco` computes at the recorded states.
 
+use crate::common::recorded::{add_poses, compare, write_comparison};
 use crate::common::{fresh, succeed};
 use harness::dataset::Dataset;
-use harness::simulation::{EpisodePlan, Scene, replay};
-use harness::spec::World;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
 /// A model of a Python package.
@@ -35,28 +33,6 @@ const FIXTURES: &str = "tests/fixtures";
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// Adds to a world file that `world new` wrote: the entries that it leaves out, the poses of all bodies and sites with
-/// a name, and mean forces.
-fn add_poses(path: &Path) {
-    // Entries that the file leaves out, and advises to uncomment.
-    let text = fs::read_to_string(path).unwrap();
-    let is_entry = |line: &str| line.starts_with("  #") && !line.starts_with("  # ");
-    let text: String = text
-        .lines()
-        .map(|line| if is_entry(line) { line.replacen('#', "", 1) } else { line.to_owned() } + "\n")
-        .collect();
-    let mut more = String::from("  places: {body_positions: \"*\"}\n  turns: {body_orientations: \"*\"}\n");
-    let model = World::load(path).map(|world| Scene::new(world).unwrap()).unwrap();
-    if model.model().nsite() > 0 {
-        more += "  site_places: {site_positions: \"*\"}\n  site_turns: {site_orientations: \"*\"}\n";
-    }
-    if let Some(line) = text.lines().find(|line| line.trim_start().starts_with("contact_force:")) {
-        let mean = line.replace("contact_force:", "mean_force:").replace("]}", "], average_over: sample}");
-        more += &format!("{mean}\n");
-    }
-    fs::write(path, text.replacen("\naction:", &format!("{more}\naction:"), 1)).unwrap();
 }
 
 impl Robot {
@@ -105,42 +81,11 @@ impl Robot {
 
     /// Simulates a dataset's episodes again with Python, under the same controls, and compares each recorded value.
     fn assert_equals_python(&self, world: &Path, dataset: &Dataset) {
-        let (folder, spec) = (world.parent().unwrap(), dataset.spec());
-        let scene = Scene::new(World::load(world).unwrap()).unwrap();
-        let every = (1.0 / (spec.sample_rate_hz * scene.step_s())).round() as usize;
-        let steps = (spec.samples_per_episode() - 1) * every + 1;
-        let mut setpoint = vec![0.0; scene.world().file().action.actuators.0.len()];
-        let (mut starts, mut controls) = (Vec::new(), Vec::new());
-        for episode in 0..spec.episodes {
-            starts.extend(replay(&scene, spec, episode).unwrap().swap_remove(0));
-            let plan = EpisodePlan::draw(&scene, spec, episode).unwrap();
-            for step in 0..steps {
-                plan.setpoint(step, &mut setpoint);
-                controls.extend_from_slice(&setpoint);
-            }
-        }
-        let write = |name: &str, values: &[f64]| {
-            let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-            fs::write(folder.join(name), bytes).unwrap();
-        };
-        write("starts.f64", &starts);
-        write("controls.f64", &controls);
-        fs::write(folder.join("world.json"), serde_json::to_vec(scene.world().file()).unwrap()).unwrap();
-        let output = Command::new(root().join(".venv/bin/python"))
-            .arg(root().join("tests/python/recorded_values.py"))
-            .args([&self.path(), &folder.join("world.json"), &dataset.folder().to_owned()])
-            .args([folder.join("starts.f64"), folder.join("controls.f64")])
-            .arg(every.to_string())
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&output.stdout);
+        let folder = world.parent().unwrap();
+        write_comparison(folder, &self.path(), world, dataset);
+        let (agrees, said) = compare([folder]);
         println!("{}:\n{said}", self.name());
-        assert!(
-            output.status.success(),
-            "{}: {said}{}",
-            self.name(),
-            String::from_utf8_lossy(&output.stderr)
-        );
+        assert!(agrees, "{}: {said}", self.name());
         let varies = |source: &str| {
             let of_source = said.lines().filter(|line| line.contains(&format!(": {source}, ")));
             of_source.filter(|line| !line.contains(", 0 vary")).count() > 0

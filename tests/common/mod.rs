@@ -1,6 +1,7 @@
 //! Helpers that run the program in tests.
 
 pub mod finger;
+pub mod recorded;
 
 use assert_cmd::Command;
 use harness::seal;
