@@ -3,7 +3,7 @@
 
 use super::axes::{Panel, Scale, color_legend, color_of, remarks};
 use super::page::{BLUE, COLUMN, GREEN, Mark, Page, Point, Stroke, Type, VERMILION, WHITE, WINE};
-use super::source::{Runs, Source, Study, integers, reals, texts};
+use super::source::{Runs, Source, Study, dataset_seeds, integers, reals, texts};
 use super::{Drawing, FigureError};
 use harness_spec::{Definition, Modality, Scenario};
 use polars::prelude::*;
@@ -157,8 +157,8 @@ fn draw(
 
 /// The rows of each scenario's dataset with the lowest seed.
 fn of_first_datasets(rows: DataFrame) -> Result<DataFrame, FigureError> {
-    let (scenarios, datasets) = (texts(&rows, "scenario")?, integers(&rows, "dataset_seed")?);
-    let mut first: BTreeMap<&str, i64> = BTreeMap::new();
+    let (scenarios, datasets) = (texts(&rows, "scenario")?, dataset_seeds(&rows)?);
+    let mut first: BTreeMap<&str, u64> = BTreeMap::new();
     for (scenario, dataset) in scenarios.iter().zip(&datasets) {
         let lowest = first.entry(scenario).or_insert(*dataset);
         *lowest = *dataset.min(lowest);

@@ -2,7 +2,7 @@
 
 use super::axes::{Line, Look, Panel, Scale, color_of, remark};
 use super::page::{BLACK, COLUMN, GRAY, Mark, PALE, Page, Stroke, Type};
-use super::source::{Source, Study, integers, reals, texts};
+use super::source::{Source, Study, dataset_seeds, reals, texts};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, interval};
 use harness_spec::{Modality, Reading, Scenario};
@@ -136,14 +136,14 @@ fn gains(source: &Source) -> Result<Vec<Gain>, FigureError> {
     ))?;
     let (names, scenarios, modalities) =
         (texts(&rows, "reading")?, texts(&rows, "scenario")?, texts(&rows, "modality")?);
-    let (datasets, values) = (integers(&rows, "dataset_seed")?, reals(&rows, "gain")?);
+    let (datasets, values) = (dataset_seeds(&rows)?, reals(&rows, "gain")?);
     let mut gains = Vec::new();
     for (modality, _) in QUANTITIES {
         for scenario in Scenario::PAPER {
             let mut by_reading: BTreeMap<&str, Vec<(u64, f64)>> = BTreeMap::new();
             for row in 0..rows.height() {
                 if modalities[row] == modality.name() && scenarios[row] == scenario.name() {
-                    let value = values[row].map(|value| (datasets[row] as u64, value));
+                    let value = values[row].map(|value| (datasets[row], value));
                     by_reading.entry(&names[row]).or_default().extend(value);
                 }
             }

@@ -412,11 +412,19 @@ pub(crate) fn reals(table: &DataFrame, column: &str) -> Result<Vec<Option<f64>>,
     Ok(values.f64()?.iter().collect())
 }
 
+/// The column `dataset_seed`. An imported dataset, which has none, has the seed 0.
+///
+/// # Errors
+/// When the column is missing or isn't numeric.
+pub(crate) fn dataset_seeds(table: &DataFrame) -> Result<Vec<u64>, FigureError> {
+    let seeds = table.column("dataset_seed")?.cast(&DataType::UInt64)?;
+    Ok(seeds.u64()?.iter().map(Option::unwrap_or_default).collect())
+}
+
 /// The columns `dataset_seed` and `value` as pairs: each value with the seed of its dataset.
 ///
 /// # Errors
 /// When one of the columns is missing or isn't numeric.
 pub(crate) fn replicated(table: &DataFrame) -> Result<Vec<(u64, Option<f64>)>, FigureError> {
-    let seeds = integers(table, "dataset_seed")?.into_iter().map(|seed| seed as u64);
-    Ok(seeds.zip(reals(table, "value")?).collect())
+    Ok(dataset_seeds(table)?.into_iter().zip(reals(table, "value")?).collect())
 }

@@ -131,7 +131,8 @@ fn of_subject(runs: &Runs, subject: &Subject, sql: &str) -> Result<Vec<Series>, 
         let found = all.entry(of).or_default().entry(place).or_default();
         if let (Some(datasets), Some(values)) = (datasets.get_as_series(group), values.get_as_series(group)) {
             let pairs = datasets.u64()?.iter().zip(values.f64()?.iter());
-            found.extend(pairs.filter_map(|(dataset, value)| dataset.zip(value)));
+            // An imported dataset has no seed.
+            found.extend(pairs.filter_map(|(dataset, value)| Some((dataset.unwrap_or_default(), value?))));
         }
         // A baseline has no seed and no latent size. Every run on a dataset has the same value of it, so one is kept.
         if !is_network {

@@ -45,7 +45,8 @@ pub struct Cloud {
 struct Score {
     #[serde(flatten)]
     of: Of,
-    dataset_seed: u64,
+    /// `None` for an imported dataset.
+    dataset_seed: Option<u64>,
     value: Option<f64>,
 }
 
@@ -79,7 +80,9 @@ fn of_subject(runs: &Runs, subject: &Subject) -> Result<Vec<Cloud>, FigureError>
          where task = 'prediction' and {place} and metric = 'r2' and model = 'network'"
     ))?;
     let scores = rows::<Score>(&mut answer)?;
-    let r2 = intervals(scores.into_iter().map(|score| (score.of, score.dataset_seed, score.value)));
+    let r2 = intervals(
+        scores.into_iter().map(|score| (score.of, score.dataset_seed.unwrap_or_default(), score.value)),
+    );
 
     let mut samples: BTreeMap<Of, Vec<Sample>> = BTreeMap::new();
     for sample in predictions(runs, &place)? {

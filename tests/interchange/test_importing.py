@@ -67,6 +67,22 @@ def test_what_comes_back_by_parquet_equals_and_trains_the_same(dataset, harness,
     # Only a simulated dataset says by which colors its frames tell the robot's parts.
     assert len(found.filter(of_parts)) == 0 and len(original.filter(of_parts)) == 6
     assert harness("verify").returncode == 0
+    # Each command that reads results takes the run. An imported dataset has no seed.
+    files = [str(tmp_path / name) for name in ("report.html", "figures", "plot.svg")]
+    for command in (
+        ["report", "smoke", "--output", files[0]],
+        ["figures", "regression", "prediction_results", "--experiment", "smoke", "--output", files[1]],
+        ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--output", files[2]],
+        ["compare", "smoke", "--difference-from", "persistence"],
+    ):
+        answer = harness(*command)
+        assert answer.returncode == 0, (command, answer.stderr)
+    data = json.loads(Path(files[0]).read_text().split('id="data">')[1].split("</script>")[0])
+    clouds = [cloud for cloud in data["regression"] if cloud["modality"] == "proprioception"]
+    wanted = found.filter(model="network", task="prediction", modality="proprioception", metric="r2")
+    wanted = dict(wanted.drop_nulls("index").select("index", "value").iter_rows())
+    assert clouds and all(cloud["r2"] == [pytest.approx(wanted[cloud["index"]], rel=1e-4)] for cloud in clouds)
+    assert any(any(series["values"]) for series in data["joints"])
     # Once imported, it is not imported again.
     before = folder.stat().st_mtime_ns
     assert import_dataset(tmp_path / "mapping.yaml", harness.results, progress=False) == name
