@@ -971,6 +971,11 @@ fn any_runs_can_stand_for_a_role() {
         let judged: Vec<&str> = said.lines().filter(|line| line.starts_with("other,")).collect();
         let is_measured = |line: &&str| !line.contains("no data");
         assert!(judged.len() == 2 && judged.iter().all(is_measured), "{experiment} {variant}: {said}");
+        // The file of claims can name the spec.
+        write("named.yaml", format!("readings: {}\nclaims:\n{}", spec.display(), CLAIMS.trim_start()));
+        let named = at("named.yaml");
+        let asked = ["claims", "--format", "csv", "--file", named.to_str().unwrap(), "--readings"];
+        assert_eq!(succeed(&results, &asked), said);
     }
 }
 

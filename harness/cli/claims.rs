@@ -19,6 +19,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// The name of the usual file of claims.
+const CLAIMS: &str = "claims";
+/// The name of the usual spec with readings.
+const READINGS: &str = "readings";
+
 #[derive(Args)]
 pub struct Claims {
     /// Names of claims to judge. Their queries and the value of every seed are also printed [default: all claims]
@@ -26,7 +31,7 @@ pub struct Claims {
     chosen: Vec<String>,
     /// The file of claims. `claims` stands for claims.yaml, experiments/claims.yaml or the built-in claims, whichever
     /// exists first
-    #[arg(long, value_name = "FILE", default_value = "claims")]
+    #[arg(long, value_name = "FILE", default_value = CLAIMS)]
     file: PathBuf,
     /// Judge by the quick runs (`harness run … --quick`)
     #[arg(long)]
@@ -35,9 +40,9 @@ pub struct Claims {
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// Judge under each reading that the spec FILE lists, and print which readings change a verdict. Without FILE, the
-    /// spec is `readings`
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "readings")]
-    readings: Option<PathBuf>,
+    /// spec is the one that the file of --file names, or `readings`
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    readings: Option<Option<PathBuf>>,
     /// Print how many more datasets or seeds would decide the undecided claims, with the commands that run them
     #[arg(long, conflicts_with_all = ["readings", "format", "output"])]
     plan: bool,
@@ -55,7 +60,10 @@ impl Claims {
         let chosen = claims::choose(&file.claims, &self.chosen)?;
         let form = self.to.form()?;
         if let Some(path) = &self.readings {
-            return self.execute_readings(registry, path, &chosen, form);
+            // The built-in claims name a spec whose readings are judged without the option.
+            let named = file.readings.clone().filter(|_| self.file != Path::new(CLAIMS));
+            let path = path.clone().or(named).unwrap_or_else(|| READINGS.into());
+            return self.execute_readings(registry, &path, &chosen, form);
         }
         let recorded = registry.recorded();
         let spec = file.spec_of_readings(registry, self.quick)?;
