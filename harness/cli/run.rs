@@ -12,7 +12,9 @@ use harness::collection::{check_missing, collect, collect_share, dataset_of};
 use harness::dataset::Dataset;
 use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
 use harness::numbers::{counted, rounded};
+use harness::progress::Silent;
 use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
+use harness::samples::FramePlace;
 use harness::shard::Shard;
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment};
@@ -228,12 +230,17 @@ impl Collect {
                 None => collect(&dataset, &scene, threads, &bars),
             };
             match made {
-                Ok(episodes) => print_text(&format!(
-                    "{}: {} made, {}",
-                    shown(dataset.folder()),
-                    counted(episodes, "episode"),
-                    there(&dataset),
-                )),
+                Ok(episodes) => {
+                    print_text(&format!(
+                        "{}: {} made, {}",
+                        shown(dataset.folder()),
+                        counted(episodes, "episode"),
+                        there(&dataset),
+                    ));
+                    if episodes > 0 && dataset.missing().is_empty() {
+                        constant_outputs(&experiment, &dataset)?.iter().for_each(|note| print_text(note));
+                    }
+                }
                 Err(error) if error.is_cancelled() => return Err(error.into()),
                 Err(error) => {
                     eprintln!("{} failed: {}", dataset.name(), describe(&error));
@@ -244,6 +251,14 @@ impl Collect {
         warn_of_loss();
         Ok(ExitCode::from(if failed { FAILED } else { DONE }))
     }
+}
+
+/// Sentences about the outputs of an experiment that are the same in all samples of a part of its dataset.
+fn constant_outputs(experiment: &Experiment, dataset: &Dataset) -> Result<Vec<String>> {
+    let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
+    let partition = samples.partition(&experiment.split, &experiment.window);
+    let of_partition = |partition| samples.constant_outputs(&experiment.output, &partition);
+    Ok(partition.map(of_partition).unwrap_or_default())
 }
 
 /// Warns if the output could not be printed. The exit code does not change, because the work was done.
@@ -317,11 +332,20 @@ fn print_results(
             1 => String::new(),
             _ => format!("in {}: ", runs[0].spec.scenario.name()),
         };
-        let error = rounded(best.error);
-        lines.push(("best run".into(), format!("{scenario}{} (error per output {error})", best.run)));
+        lines.push(("best run".into(), format!("{scenario}{} ({})", best.run, error_words(best.error))));
         lines.extend(baselines(registry, experiment, &best.run)?);
     }
     Ok(lines)
+}
+
+/// The error of a run on the validation samples, in words. It is in units of the outputs' variance in training.
+fn error_words(error: f64) -> String {
+    /// From this error on, its digits say nothing.
+    const HUGE: f64 = 1000.0;
+    if error < HUGE {
+        return format!("error per output {}", rounded(error));
+    }
+    "an output varies far more in the validation samples than in the training samples".to_owned()
 }
 
 /// The runs of each scenario. A scenario is left out if its runs were validated on different samples, outputs or

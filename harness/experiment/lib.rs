@@ -407,6 +407,9 @@ impl<'a> Runner<'a> {
             self.progress.say(&note);
         }
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
+        for note in samples.constant_outputs(&spec.output, &partition) {
+            self.progress.say(&format!("{}: {note}", spec.scenario));
+        }
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let data = NormalizedData {

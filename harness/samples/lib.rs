@@ -1,5 +1,6 @@
 //! A dataset in memory: its samples, the windows and splits of them, and their normalization.
 
+mod constant;
 mod frames;
 mod normalizer;
 mod window;

@@ -9,9 +9,10 @@ use super::physics::Physics;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading, is_pinhole, name_of};
 use super::scene::Scene;
-use harness_spec::{Definition, Posed, Simulation};
+use harness_spec::{Definition, Modality, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
 
 /// Largest number of names in a note.
 const NAMES_SHOWN: usize = 10;
@@ -19,6 +20,10 @@ const NAMES_SHOWN: usize = 10;
 const STILL: f64 = 1e-3;
 /// How many times as long as the fastest rendering the model's own must take to be worth a note.
 const SLOW: f64 = 1.5;
+
+/// The most simulation steps in which a vector must change, and the most time that they may take.
+const TRIED_STEPS: usize = 20_000;
+const TRIED_FOR: Duration = Duration::from_secs(2);
 
 /// What is known about a world besides its layout.
 pub struct Notes {
@@ -55,6 +60,7 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
         other => other?,
     };
     notes.extend(rendering.as_ref().and_then(slow_rendering));
+    notes.extend(unchanged(scene, physics)?);
     Ok(Notes { notes, rendering })
 }
 
@@ -190,6 +196,48 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
         }
     }
     notes
+}
+
+/// The vectors that stay the same while the world's episodes are simulated, such as the forces of contacts that do not
+/// happen.
+fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, SimulationError> {
+    let spec = scene.world().simulation();
+    let is_sensed = |definition: &Definition| {
+        let is_given = [Modality::SETPOINT, Modality::FACTORS].contains(&definition.name);
+        !is_given && !definition.is_image() && definition.difference_of.is_none()
+    };
+    let sensed = || scene.layout().modalities.iter().enumerate().filter(|(_, one)| is_sensed(one));
+    // Those that have not changed so far, each with its values at the first sample.
+    let mut same: Vec<(usize, &Definition, Vec<f32>)> = Vec::new();
+    let (begin, mut samples) = (Instant::now(), 0);
+    'episodes: for episode in 0.. {
+        let plan = EpisodePlan::draw(scene, &spec, episode)?;
+        physics.start(&plan);
+        for _ in 0..physics.timing.samples {
+            let is_over =
+                samples * physics.timing.steps_per_sample >= TRIED_STEPS || begin.elapsed() > TRIED_FOR;
+            // An unstable simulation is refused when it is recorded.
+            if is_over || samples > 0 && same.is_empty() || physics.follow(&plan).is_err() {
+                break 'episodes;
+            }
+            let (instant, _) = physics.sampled();
+            let values = |place: usize| instant.vector(scene, place);
+            if samples == 0 {
+                same = sensed().map(|(place, one)| (place, one, values(place).collect())).collect();
+            }
+            same.retain(|(place, _, first)| values(*place).eq(first.iter().copied()));
+            samples += 1;
+        }
+    }
+    let seconds = samples as f64 / spec.sample_rate_hz;
+    let note = |(_, definition, first): (usize, &Definition, Vec<f32>)| {
+        let is = if first.iter().all(|value| *value == 0.0) { "is 0" } else { "does not change" };
+        format!(
+            "'{}' {is} in {seconds:.0} s of simulation; if it is so in all test samples, its r2 is not defined",
+            definition.name
+        )
+    };
+    Ok(if samples > 1 { same.into_iter().map(note).collect() } else { Vec::new() })
 }
 
 fn slow_rendering(time: &SampleTime) -> Option<String> {

@@ -1,0 +1,40 @@
+//! Modalities that do not change, which no metric of explained variance is defined for.
+
+use super::{Partition, Sample, Samples, after, physical};
+use harness_spec::Modality;
+
+/// Number of samples whose values are compared at once.
+const AT_ONCE: usize = 256;
+
+impl Samples {
+    /// Returns a sentence for each of these outputs that is the same in all training or all test samples, such as
+    /// `contact_force is 0 in all test samples, so its r2 is not defined`. Images that were not loaded are left out.
+    pub fn constant_outputs(&self, outputs: &[Modality], partition: &Partition) -> Vec<String> {
+        let sentence = |output: &Modality| {
+            let metric = if self.layout[*output].is_image() { "relative_error" } else { "r2" };
+            let test = self.constant(*output, &after(&partition.test, 1));
+            let training = self.constant(*output, &after(&partition.training, 1));
+            match (test, training) {
+                (Some(is), _) => {
+                    Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))
+                }
+                (None, Some(is)) => Some(format!(
+                    "{output} {is} in all training samples, so no model can learn to predict it"
+                )),
+                (None, None) => None,
+            }
+        };
+        let is_loaded = |output: &&Modality| !self.layout[**output].is_image() || self.has_frames();
+        outputs.iter().filter(is_loaded).filter_map(sentence).collect()
+    }
+
+    /// Returns `is 0` or `does not change` for a modality that is the same at all of these samples.
+    fn constant(&self, modality: Modality, at: &[Sample]) -> Option<&'static str> {
+        let first = physical(self, modality, at.get(..1)?);
+        let is_same = |at: &[Sample]| {
+            physical(self, modality, at).chunks_exact(first.len()).all(|values| values == first)
+        };
+        let is_zero = first.iter().all(|value| *value == 0.0);
+        at.chunks(AT_ONCE).all(is_same).then_some(if is_zero { "is 0" } else { "does not change" })
+    }
+}
