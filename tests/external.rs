@@ -29,7 +29,7 @@ fn write(results: &Path, spec: &RunSpec, error: f32) -> String {
     let predicted: Vec<f32> = reference.iter().map(|value| value + error).collect();
     let (task, horizon, given) = (Task::Prediction, 1, None);
     let rows = evaluate(&Layout::finger()[Modality::CONTACT_FORCE], &reference, &predicted).unwrap();
-    let model = "network".to_owned();
+    let model = spec.model.name().to_owned();
     let row = |row| MetricRow { task, model: model.clone(), horizon, given, row };
     let values = reference.iter().zip(&predicted).enumerate();
     let outcome = Outcome {
@@ -92,6 +92,12 @@ fn commands_take_runs_of_external_models() {
         ],
     );
     assert_eq!(answer, "architecture,without,runs\nmulti_to_multi,false,2\nmy_gru,true,2\nother,true,1\n");
+    let models =
+        "select model, trained_here, count(distinct run) as runs from metrics group by all order by model";
+    let answer = succeed(&results, &["query", models, "--format", "csv"]);
+    let expected = "my_gru,false,2\nnetwork,true,2\nother,false,1\npersistence,false,2\nridge,false,2\n\
+                    training_mean,false,2\n";
+    assert_eq!(answer, format!("model,trained_here,runs\n{expected}"));
     let compared = succeed(&results, &["compare", "smoke", "--format", "csv", "--where", "scenario=empty"]);
     assert!(compared.contains("model=my_gru") && compared.contains("model=other"), "{compared}");
     // These models have no latent size and no training, so settings of networks do not select among them.
@@ -131,6 +137,39 @@ fn commands_take_runs_of_external_models() {
     assert!(!succeed(&results, &["ls"]).contains(&runs[2]));
 }
 
+/// Rows of earlier versions call every model that is no baseline a network.
+#[test]
+fn published_rows_of_a_model_of_another_program_have_its_name() {
+    let reference = Path::new("results/reference");
+    for table in ["metrics", "all_metrics"] {
+        let sql = format!(
+            "select architecture, model, trained_here, count(*) > 0 as found from {table} where experiment = 'memory'
+             and scenario = 'empty' group by all order by all"
+        );
+        let own = |architecture: &str, model: &str, trained: bool| {
+            format!("{architecture},{model},{trained},true\n")
+        };
+        let baselines = |architecture: &str| {
+            ["persistence", "ridge", "training_mean"].map(|model| own(architecture, model, false)).concat()
+        };
+        let ours = "multi_to_multi";
+        let expected = own(ours, "network", true) + &baselines(ours);
+        let simulator = baselines("simulator").replace("simulator,training_mean,false,true\n", "");
+        let simulator =
+            simulator + &own("simulator", "simulator", false) + "simulator,training_mean,false,true\n";
+        let found = succeed(reference, &["query", &sql, "--format", "csv"]);
+        assert_eq!(found, format!("architecture,model,trained_here,found\n{expected}{simulator}"));
+    }
+    // A condition and a mean see the same names.
+    let sql = "select max(value) as best from all_metrics where experiment = 'memory' and model = 'network'
+               and metric = 'r2' and modality = 'contact_force' and index is null and direction is null";
+    let best = succeed(reference, &["query", sql, "--format", "csv"]);
+    let best: f64 = best.lines().nth(1).unwrap().parse().unwrap();
+    assert!((0.3..0.99).contains(&best), "{best}");
+    let compared = succeed(reference, &["compare", "memory", "--models", "simulator", "--format", "csv"]);
+    assert!(compared.lines().count() > 1 && compared.lines().skip(1).all(|row| row.contains(",simulator,")));
+}
+
 /// Overrides of the smoke experiment whose networks predict only vectors, one from the other.
 const AHEAD: [&str; 5] = [
     "input=[proprioception]",
@@ -159,8 +198,8 @@ fn judge<'a>(file: &'a Path, more: &[&'a str]) -> Vec<&'a str> {
 /// All metrics of a run of the smoke experiment, as text.
 fn metrics(results: &Path, architecture: &str) -> String {
     let sql = format!(
-        "select task, model, modality, direction, index, metric, value, unit, horizon, given from all_metrics
-         where scenario = 'empty' and architecture = '{architecture}' order by all"
+        "select task, case when model = '{architecture}' then 'network' else model end as model, modality, direction,
+         index, metric, value, unit, horizon, given from all_metrics where scenario = 'empty' and architecture = '{architecture}' order by all"
     );
     succeed(results, &["query", &sql, "--format", "csv"])
 }
@@ -403,7 +442,7 @@ fn the_simulator_repeats_its_samples_from_a_rounded_state() {
     succeed(&results, &[&["collect", SMOKE][..], &asked].concat());
     let judge = |more: &[&'static str]| [&["judge", SMOKE, "simulator"], &asked[..], more].concat();
     succeed(&results, &[&["--threads", "1"], &judge(&[])[..]].concat());
-    let sql = "select horizon, modality, value from all_metrics where metric = 'r2' and model = 'network'
+    let sql = "select horizon, modality, value from all_metrics where metric = 'r2' and model = 'simulator'
                and index is null and direction is null";
     let found = succeed(&results, &["query", sql, "--format", "csv"]);
     let r2: Vec<f64> =

@@ -10,7 +10,7 @@
 //! tables are read, as soon as enough runs are in no part. A damaged part is written again. The folder can be deleted
 //! at any time.
 
-use harness_registry::{FileRecord, Mark, Registry, RegistryError, RunRecord};
+use harness_registry::{FileRecord, Mark, Registry, RegistryError, RunRecord, read_columns};
 use harness_shared::files::{FolderLock, sorted};
 use harness_shared::seal::hex;
 use harness_sql::{Condition, Terms};
@@ -22,7 +22,6 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
-use std::io::Cursor;
 use std::path::PathBuf;
 
 /// The fewest runs of a part: fewer files are as quickly read one by one.
@@ -331,11 +330,8 @@ impl RunTable {
     fn read_file(&self, file: &RunFile, columns: &[String]) -> PolarsResult<DataFrame> {
         let path = self.path(&file.run);
         let bytes = file.listed.read(&path)?;
-        let reader = ParquetReader::new(Cursor::new(bytes)).with_columns(Some(columns.to_vec()));
-        // Several tables are read at the same time, so more threads for each would not help.
-        let rows = reader.read_parallel(ParallelStrategy::None).finish();
-        let rows = rows.map_err(|error| RegistryError::File { path, reason: error.to_string() })?;
-        rows.select(columns)
+        Ok(read_columns(&bytes, columns)
+            .map_err(|error| RegistryError::File { path, reason: error.to_string() })?)
     }
 
     fn path(&self, run: &str) -> PathBuf {

@@ -8,7 +8,7 @@ use clap::Args;
 use harness::analysis::differing;
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::dataset::world_parts;
-use harness::judge::models;
+use harness::judge::models::baselines_in_sql;
 use harness::metrics::{best, rounded};
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord};
@@ -156,8 +156,8 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
     let chosen = match all {
         true => "index is null".to_owned(),
         false => format!(
-            "{OVERALL} and model = '{}' and metric in ('smape', 'wmape', 'r2', 'relative_error')",
-            models::NETWORK
+            "{OVERALL} and model not in ({}) and metric in ('smape', 'wmape', 'r2', 'relative_error')",
+            baselines_in_sql()
         ),
     };
     let of = |run: &RunRecord| {
@@ -165,11 +165,16 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         format!("max(case when {own} then value end)")
     };
     let names = [a.name(), b.name()];
+    // What predicts is compared also if the runs call it differently.
+    let own = if a.predictor() == b.predictor() { a.predictor() } else { "network or model" };
+    let model = format!("case when model in ({}) then model else '{own}' end as model", baselines_in_sql());
     let mut answer = query_of(
         registry,
         |record| names.contains(&record.name()),
         &format!(
-            "select task, model, modality, direction, metric, unit, {} as a, {} as b from metrics where {chosen} \
+            "select task, model, modality, direction, metric, unit, {} as a, {} as b from \
+             (select experiment, run, task, {model}, modality, direction, metric, unit, value from metrics \
+             where {chosen}) as rows \
              group by task, model, modality, direction, metric, unit \
              order by task, model, modality, direction, metric",
             of(a),

@@ -216,9 +216,10 @@ impl OpenTask {
         Ok(self.references.get_or_init(|| references))
     }
 
-    /// Checks predictions, and makes a predictor of those of each set of inputs.
+    /// Checks the predictions of a model, and makes a predictor of those of each set of inputs.
     fn recorded(
         &self,
+        model: &str,
         predictions: Predictions,
         progress: &dyn Progress,
     ) -> Result<Vec<Recorded<'_>>, ExperimentError> {
@@ -226,7 +227,6 @@ impl OpenTask {
         let horizons = spec.window.horizons();
         let asked = Asked { outputs: &spec.output, horizons: &horizons };
         let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
-        let model = models::NETWORK;
         let of_windows = |values| Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong);
         let recorded = match predictions {
             Predictions::Windows(values) => vec![of_windows(values)?],
@@ -432,7 +432,7 @@ impl Runner<'_> {
         external.check(&task.task)?;
         let attached = external.attached_name()?;
         let External { model, seed, notes, network, predictions, .. } = external;
-        let recorded = task.recorded(predictions, self.progress)?;
+        let recorded = task.recorded(&model, predictions, self.progress)?;
         let spec = task.task.run(&model, seed);
         let folder = self.registry.run(&task.task.experiment, &spec, task.task.source.dataset.name());
         let submission = Submission {

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 /// Number of windows that are predicted at once. It limits the memory for frames.
 pub const BATCH: usize = 256;
 
-/// The values of the column `model`.
+/// The values of the column `model`, besides the names of models of other programs.
 pub mod models {
     /// A trained network.
     pub const NETWORK: &str = "network";
@@ -36,8 +36,18 @@ pub mod models {
     pub const TRAINING_MEAN: &str = "training_mean";
     /// The baselines.
     pub const BASELINES: [&str; 3] = [PERSISTENCE, RIDGE, TRAINING_MEAN];
-    /// All of them.
+    /// All that the harness has. Models of other programs have names of their own.
     pub const ALL: [&str; 4] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN];
+
+    /// The names of the baselines as a list of SQL.
+    pub fn baselines_in_sql() -> String {
+        BASELINES.map(|name| format!("'{name}'")).join(", ")
+    }
+
+    /// Whether the model of this name is a baseline.
+    pub fn is_baseline(name: &str) -> bool {
+        BASELINES.contains(&name)
+    }
 }
 
 /// Why predictions can't be judged.

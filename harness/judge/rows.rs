@@ -10,7 +10,7 @@ use harness_spec::{Modality, Task, intern};
 pub struct MetricRow {
     /// The task that is evaluated.
     pub task: Task,
-    /// The predictor's name, such as `network` or that of a baseline.
+    /// The predictor's name: `network`, or that of a baseline or a model of another program.
     pub model: String,
     /// Number of samples from the present to the predicted one; 0 for a reconstruction.
     pub horizon: usize,

@@ -15,6 +15,7 @@
 
 mod checks;
 mod claimed;
+mod columns;
 mod command_line;
 mod commands;
 mod error;
@@ -31,6 +32,7 @@ mod verify;
 mod worlds;
 
 pub use claimed::Claimed;
+pub use columns::read_columns;
 pub use command_line::quoted;
 pub use error::RegistryError;
 pub use folders::{Recorded, Remembered};

@@ -3,8 +3,8 @@
 use super::{Registry, RegistryError, RunFolder, RunRecord, Status};
 use harness_judge::{is_usual, models};
 use harness_spec::{Modality, Task};
-use harness_tables::schema::{GIVEN, HORIZON, Table};
-use harness_tables::{TableError, TableFile, column_of};
+use harness_tables::schema::{GIVEN, HORIZON, TRAINED_HERE, Table};
+use harness_tables::{TableError, column_of};
 use polars::prelude::*;
 
 /// Values of a user's metric for a run, over all elements of a modality.
@@ -66,11 +66,12 @@ fn with_values(
     metric: &OwnMetric,
     values: Vec<&OwnValue>,
 ) -> Result<Option<DataFrame>, RegistryError> {
-    let own = record.with_key(own_columns(table, metric, &values)).map_err(TableError::from)?;
+    let own =
+        record.with_key(own_columns(table, metric, &values, record.predictor())).map_err(TableError::from)?;
     if !record.has(table) {
         return Ok((own.height() > 0).then_some(own));
     }
-    let rows = TableFile::open(&record.check_file(&folder.path, &table.file_name())?)?.table(None)?;
+    let rows = record.table(&folder.path, table)?;
     let joined = || -> PolarsResult<DataFrame> {
         let others = rows.column("metric")?.str()?.not_equal(metric.name.as_str());
         rows.filter(&others)?.vstack(&own)
@@ -79,12 +80,14 @@ fn with_values(
 }
 
 /// The columns of the table `metrics` or `all_metrics`, without those of the run, for a user's metric.
-fn own_columns(table: Table, metric: &OwnMetric, values: &[&OwnValue]) -> Vec<Column> {
+/// `model` is the name of the model that predicted.
+fn own_columns(table: Table, metric: &OwnMetric, values: &[&OwnValue], model: &str) -> Vec<Column> {
     let none = |_: &&OwnValue| None::<&str>;
     let task = |value: &&OwnValue| if value.horizon == 0 { Task::Reconstruction } else { Task::Prediction };
     let mut columns = vec![
         column_of(values, "task", |value| task(value).name()),
-        column_of(values, "model", |_| models::NETWORK),
+        column_of(values, "model", |_| model),
+        column_of(values, TRAINED_HERE, |_| model == models::NETWORK),
         column_of(values, "modality", |value| value.modality.name()),
         column_of(values, "direction", none),
         column_of(values, "index", |_| None::<i64>),

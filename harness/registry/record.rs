@@ -3,12 +3,12 @@
 use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity};
 use harness_dataset::WorldVersion;
-use harness_judge::{FrameRow, MetricRow, PredictionRow, is_usual};
+use harness_judge::{FrameRow, MetricRow, PredictionRow, is_usual, models};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
 use harness_spec::{Layout, Modality, RunSpec, Task, World};
-use harness_tables::schema::{GIVEN, HORIZON, Table};
+use harness_tables::schema::{GIVEN, HORIZON, TRAINED_HERE, Table};
 use harness_tables::{Stamp, TableError, column_of, read_footer};
 use jiff::Timestamp;
 use polars::prelude::*;
@@ -305,6 +305,11 @@ impl RunRecord {
     /// The run's full name, `experiment/run`.
     pub fn name(&self) -> String {
         format!("{}/{}", self.experiment, self.run)
+    }
+
+    /// The name of what predicts, in the column `model`: that of a network, or of a model of another program.
+    pub fn predictor(&self) -> &str {
+        self.spec.trained().map_or(self.spec.model.name(), |_| models::NETWORK)
     }
 
     /// Number of episodes of a simulated dataset that the run used; 0 for an imported dataset.
@@ -670,6 +675,7 @@ fn metrics_columns(rows: &[&MetricRow]) -> Vec<Column> {
     vec![
         column_of(rows, "task", |row| row.task.name()),
         column_of(rows, "model", |row| row.model.as_str()),
+        column_of(rows, TRAINED_HERE, |row| row.model == models::NETWORK),
         column_of(rows, "modality", |row| row.row.modality.name()),
         column_of(rows, "direction", |row| row.row.direction.map(|direction| direction.name())),
         column_of(rows, "index", |row| row.row.index.map(i64::from)),

@@ -167,8 +167,11 @@ fn run_key() -> Vec<Column> {
         text("scenario", "empty, cluttered, the name of a world file, or the name of an imported dataset"),
         text("input", "modalities given to the encoder, joined by +"),
         text("output", "modalities predicted, joined by +"),
-        text("architecture", "the preset of the network: single_to_multi or multi_to_multi"),
-        integer("latent", "size of the latent state"),
+        text(
+            "architecture",
+            "the preset of the network, single_to_multi or multi_to_multi, or the name of a model of another program",
+        ),
+        integer("latent", "size of the latent state; null for a model of another program"),
         text("variant", "settings that the experiment varies, such as kl_weight=0.001; empty if none"),
         integer("seed", "seed of the run"),
     ]
@@ -271,10 +274,23 @@ fn distance() -> Vec<Column> {
     ]
 }
 
+/// Name of the column that tells networks of this program from models of other programs and baselines.
+pub const TRAINED_HERE: &str = "trained_here";
+
 fn metric_values() -> Vec<Column> {
     vec![
         text("task", "prediction or reconstruction"),
-        text("model", "network, or a baseline: persistence, training_mean, ridge"),
+        text(
+            "model",
+            "network; a baseline: persistence, training_mean, ridge; or the name of a model of another program",
+        ),
+        column(
+            TRAINED_HERE,
+            Kind::Flag,
+            "",
+            "whether this program trained the model: true for a network, false for a baseline and for a model of \
+             another program",
+        ),
         text("modality", "what is predicted; 'latent' for the rows of kl and active"),
         text(
             "direction",

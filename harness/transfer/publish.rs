@@ -3,8 +3,8 @@
 use super::{Busy, Removable, remove};
 use harness_registry::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network};
 use harness_shared::progress::Progress;
+use harness_tables::TableError;
 use harness_tables::schema::Table;
-use harness_tables::{TableError, TableFile};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -148,7 +148,7 @@ impl Shown {
         content: Content,
     ) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
         let kept = record.tables().map(|table| {
-            let rows = TableFile::open(&record.check_file(folder, &table.file_name())?)?.table(None)?;
+            let rows = record.table(folder, table)?;
             let kept = match content.has(table) {
                 true => self.keep(table, record, rows).map_err(TableError::from)?,
                 false => rows.clear(),

@@ -153,7 +153,8 @@ def test_metrics_are_those_of_scikit_learn(copy: Path) -> None:
     task.submit(last, model="last", seed=3, notes={"commit": "ab12cd3", "seconds": 1.5}, progress=False)
     data = harness.Dataset(copy / "datasets" / task.dataset)
     present = task.test_inputs().samples
-    rows = harness.query("select * from all_metrics where architecture = 'last' and model = 'network'", copy)
+    rows = harness.query("select * from all_metrics where model = 'last'", copy)
+    assert rows["trained_here"].unique().to_list() == [False]
     for horizon in task.horizons:
         found = {"proprioception": data["proprioception"][present]}
         found["contact_force"] = np.abs(found["proprioception"])
@@ -174,7 +175,7 @@ def test_metrics_are_those_of_scikit_learn(copy: Path) -> None:
     # Repeating the last sample is the baseline persistence.
     sql = "select value from all_metrics where architecture = 'last' and model = '{}' and modality = 'proprioception'"
     order = " order by horizon, metric, index"
-    own, baseline = (harness.query(sql.format(name) + order, copy) for name in ("network", "persistence"))
+    own, baseline = (harness.query(sql.format(name) + order, copy) for name in ("last", "persistence"))
     assert own.equals(baseline)
 
 
@@ -195,7 +196,7 @@ def test_a_task_of_a_dataset_is_saved_and_opened(copy: Path, tmp_path: Path, fol
     zero = lambda context, actions: {"contact_force": np.zeros((len(actions), 20, 20))}  # noqa: E731
     task.submit(zero, model="zero", progress=False)
     means = task.compare()
-    assert set(means["model"]) == {"network", "persistence", "ridge", "training_mean"}
+    assert set(means["model"]) == {"zero", "persistence", "ridge", "training_mean"}
 
 
 def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
@@ -208,7 +209,7 @@ def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
             return {name: values + noise.normal(0, 0.1, values.shape) for name, values in found.items()}
 
         task.submit(predict, model="noisy", seed=seed, notes={"commit": "ab12cd3"}, progress=False)
-    own = task.compare().filter(variant="model=noisy", model="network", metric="r2")
+    own = task.compare().filter(variant="model=noisy", model="noisy", metric="r2")
     assert own["seeds"].to_list() == [3] * own.height and own["low"].is_not_null().all()
     plot: dict[str, Any] = {"x": "variant", "y": "r2", "by": "modality", "where": {"window.horizon": 5}}
     harness.plot("smoke", **plot, output=tmp_path / "r2.png", results=copy)
@@ -235,7 +236,7 @@ CLAIMS = """
   query: |
     select scenario, seed, max(case when variant = 'model=good' then value end)
         - max(case when variant = '' then value end) as value
-      from metrics where experiment = 'smoke' and task = 'prediction' and model = 'network'
+      from metrics where experiment = 'smoke' and task = 'prediction' and model in ('network', 'good')
         and modality = 'contact_force' and metric = 'r2' and direction is null and index is null
     group by scenario, seed having count(value) = 2
   condition: above 0
@@ -557,8 +558,8 @@ def test_windows_from_rest_have_all_samples_since_the_start(copy: Path, folders:
 
         assert len(each.test_inputs()) == 25
         each.submit(predict, model="now", seed=seed, batch_size=7, progress=False)
-        sql = "select horizon, modality, metric, index, value from all_metrics where model = 'network'"
-        values.append(harness.query(f"{sql} and architecture = 'now' and seed = {seed} order by all", copy))
+        sql = "select horizon, modality, metric, index, value from all_metrics where model = 'now'"
+        values.append(harness.query(f"{sql} and seed = {seed} order by all", copy))
     assert values[0].height > 100 and values[0].equals(values[1])
 
 

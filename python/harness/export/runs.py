@@ -141,14 +141,15 @@ class Run:
     def metrics(self) -> dict[str, float]:
         """Returns the metrics over all joints, links or pixels, on the test samples, of network and baselines.
 
-        A name is `network/prediction/contact_force/mae`, followed by `.` and a direction, by `.h5` for 5 samples ahead,
+        A model of another program is called `network` too, so that charts of runs have both. A name is `network/prediction/contact_force/mae`, followed by `.` and a direction, by `.h5` for 5 samples ahead,
         and by `.given-arm-proprioception` for a model that got only these inputs. MLflow stores metrics in files, so no
         name may be that of another one's folder.
         """
         key = "model, task, modality, metric, direction, horizon, given"
         found = {}
         for row in self._rows(f"select {key}, value from all_metrics", key, "index is null and value is not null"):
-            name = f"{row['model']}/{row['task']}/{row['modality']}/{row['metric']}"
+            model = row["model"] if row["model"] in _BASELINES else "network"
+            name = f"{model}/{row['task']}/{row['modality']}/{row['metric']}"
             direction = f".{row['direction']}" if row["direction"] else ""
             horizon = f".h{row['horizon']}" if row["horizon"] > 1 else ""
             given = f".given-{row['given'].replace(',', '-')}" if row["given"] else ""
