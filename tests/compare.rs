@@ -1,6 +1,7 @@
 //! `harness compare` on real runs: in every format, the numbers are those of the tables.
 
 use crate::common::{SMOKE, ask, copy_folder, finish, fresh, harness, succeed};
+use crate::report::PENDULUM;
 use crate::terminal::{plain, raw, too_wide};
 use harness::numbers::by_value;
 use std::collections::BTreeMap;
@@ -608,6 +609,13 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     succeed(&results, &[&arguments[..], &["--output", &file]].concat());
     let csv = std::fs::read_to_string(&file).unwrap();
     assert_eq!(csv.lines().count(), 1 + 2 * rows.len(), "{csv}");
+    // The rows of the column itself are no differences.
+    let header: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    let place = |name: &str| header.iter().position(|column| *column == name).unwrap();
+    for row in csv.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()) {
+        let from = if row[place("latent")] == "2" { "" } else { "latent 2" };
+        assert_eq!(row[place("difference_from")], from, "{csv}");
+    }
     let refused = |arguments: &[&str]| finish(&mut harness(&results, arguments)).stderr;
     let unknown = refused(&["compare", "smoke", "--by", "latent", "--difference-from", "latent 3"]);
     assert_eq!(
@@ -707,6 +715,41 @@ fn horizons_are_rows_of_one_table() {
     };
     assert_eq!(units("arm"), ["arm in m", "arm in rad", "arm in m", "arm in rad"]);
     assert_eq!(units("arm in rad,contact_force")[..2], ["arm in rad", "contact force"]);
+}
+
+#[test]
+fn what_does_not_change_in_the_test_samples_is_named() {
+    let folder = fresh("compare_no_contact");
+    std::fs::create_dir_all(&folder).unwrap();
+    let (results, path) = (folder.join("results"), |name: &str| folder.join(name).display().to_string());
+    let wall = PENDULUM.lines().find(|line| line.contains("\"wall\"")).unwrap();
+    std::fs::write(path("pendulum.xml"), PENDULUM.replace(wall, "")).unwrap();
+    succeed(&results, &["world", "new", &path("pendulum.xml")]);
+    let checked = plain(&succeed(&results, &["world", "check", &path("pendulum.yaml")]));
+    assert!(checked.contains("note: 'contact_force' is 0 in "), "{checked}");
+    assert!(!checked.contains("'joints' does not change"), "{checked}");
+    let spec = "name: pendulum\nscenarios: [pendulum.yaml]\ninput: [joints]\noutput: [contact_force]\nlatent: 2\n\
+                network: {preset: single_to_multi, hidden: [4]}\ntasks: [prediction]\n\
+                simulation: {episodes: 4, actuations_per_episode: 2}\ntraining: {epochs: 1, batch_size: 16}\n";
+    std::fs::write(path("spec.yaml"), spec).unwrap();
+    let is = "contact_force is 0 in all test samples, so its r2 ";
+    let collected = plain(&succeed(&results, &["collect", &path("spec.yaml")]));
+    assert!(collected.contains(is), "{collected}");
+    let run = finish(&mut harness(&results, &["run", &path("spec.yaml")]));
+    assert!(run.code == 0 && plain(&run.stderr).contains(is), "{}", run.stderr);
+    assert!(plain(&run.stdout).contains("so its r2 and wmape are not defined"), "{}", run.stdout);
+    // The next command works, and shows errors that are defined.
+    let (_, next) = run.stdout.split_once("next       harness --results ").unwrap();
+    let next: Vec<&str> = next.split_whitespace().skip(1).collect();
+    let compared = plain(&succeed(&results, &next));
+    assert!(
+        compared.contains("RMSE (N)") && compared.contains("so its r2 and wmape are not defined"),
+        "{compared}"
+    );
+    let refused = finish(&mut harness(&results, &["compare", "--metrics", "r2"]));
+    assert!(
+        refused.code == 2 && refused.stderr.starts_with(&format!("error: {is}is not defined; no run has"))
+    );
 }
 
 #[test]

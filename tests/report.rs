@@ -553,7 +553,7 @@ fn sections(page: &str) -> Vec<&str> {
 }
 
 /// A cart with a pendulum. Its joints have two units, so they are judged by unit.
-const PENDULUM: &str = r#"<mujoco><option timestep="0.005"/>
+pub const PENDULUM: &str = r#"<mujoco><option timestep="0.005"/>
   <visual><quality shadowsize="0" offsamples="0"/></visual><worldbody>
   <light pos="0 -1 2"/><geom name="floor" type="plane" size="2 2 .1" rgba=".8 .8 .7 1"/>
   <geom name="wall" type="box" pos=".15 0 .35" size=".02 .2 .35" rgba=".3 .4 .7 1"/>

@@ -111,6 +111,16 @@ impl Subject {
         let part = self.direction.iter().map(|direction| format!(" {direction}"));
         self.modality.name().replace('_', " ") + &part.collect::<String>()
     }
+
+    /// Like [`predicted`](Self::predicted), followed by how far ahead it is predicted if rows differ in that: `contact
+    /// force, 5 samples ahead`.
+    pub fn predicted_ahead(&self) -> String {
+        match self.place.horizon {
+            None | Some(0) => self.predicted(),
+            Some(1) => format!("{}, next sample", self.predicted()),
+            Some(horizon) => format!("{}, {horizon} samples ahead", self.predicted()),
+        }
+    }
 }
 
 /// Rows of a table that differ only in what is predicted and in the metric.
@@ -159,16 +169,13 @@ impl<'a> Comparison<'a> {
             metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
         };
         let side = |of: &Of| Side {
-            baseline: (of.model != NETWORK).then(|| of.model.clone()),
-            model: model_parts(&of.variant)
-                .1
-                .filter(|_| variants_are_rows && of.model == NETWORK)
-                .map(str::to_owned),
+            baseline: of.is_baseline().then(|| of.model.clone()),
+            model: of.external().filter(|_| variants_are_rows).map(str::to_owned),
             place: Place::of(of, labels, |key| by.contains(&key)),
         };
         let mut comparison = Self { units: BTreeMap::new(), values: BTreeMap::new() };
         let (networks, baselines): (Vec<&Mean>, Vec<&Mean>) =
-            means.iter().partition(|mean| mean.of.model == NETWORK);
+            means.iter().partition(|mean| !mean.of.is_baseline());
         let mut rows: BTreeMap<Subject, Vec<Subject>> = BTreeMap::new();
         for mean in networks {
             let subject = subject(&mean.of);

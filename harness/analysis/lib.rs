@@ -21,6 +21,7 @@ mod seen;
 mod settings;
 mod skill;
 mod subset;
+mod undefined;
 
 pub use comparison::{Comparison, Part, Place, Side, Subject, printed, usual_key, whole_metrics};
 pub use harness_judge::models;
@@ -30,13 +31,15 @@ pub use interval::{
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
-pub use means::{Mean, Of, compare, replicates_of};
+pub use means::{Mean, Of, check_models, compare, replicates_of};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
 pub use subset::Subset;
+pub use undefined::Undefined;
 
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
 use harness_registry::{Recorded, Registry, RunRecord, Status, forces_of, quoted};
-use harness_shared::nearest;
+use harness_shared::numbers::counted;
+use harness_shared::{meant, nearest};
 use harness_spec::{Layout, Origin, QUICK, RunSpec};
 use harness_sql::{Condition, Query, implies};
 use harness_tables::lazily;
@@ -124,12 +127,36 @@ pub enum AnalysisError {
         /// The values that the runs have.
         there: Box<Difference>,
     },
+    /// No run predicts so many samples ahead.
+    #[error("no run predicts {} ahead; the horizons of the runs are {}", counted(*wanted, "sample"), numbers(horizons))]
+    UnknownHorizon {
+        /// The requested number of samples.
+        wanted: usize,
+        /// The horizons of the runs, in samples.
+        horizons: BTreeSet<usize>,
+    },
+    /// A model is none of the harness, and no run is of a model of that name.
+    #[error(
+        "there is no model '{wanted}'{}there are {}",
+        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()), known.join(", ")
+    )]
+    UnknownModel {
+        /// The requested name.
+        wanted: String,
+        /// The models that there are.
+        known: Vec<String>,
+    },
     /// The runs of an experiment differ in settings that must be equal.
     #[error(transparent)]
     Mixed(#[from] Mixed),
     /// A query failed, or a table is damaged.
     #[error(transparent)]
     Query(#[from] QueryError),
+}
+
+/// Numbers, separated by commas.
+fn numbers(all: &BTreeSet<usize>) -> String {
+    all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Says which experiments have finished runs. If `wanted` is the path of a spec, its experiment may be one of them.
@@ -367,6 +394,23 @@ impl Analysis {
         let rate = |run: &Run| Some(run.record.spec.simulation.as_ref()?.sample_rate_hz);
         let first = rate(runs.next()?)?;
         runs.all(|run| rate(run) == Some(first)).then_some(first)
+    }
+
+    /// The number of samples per second of all runs that count, as a note about horizons in samples.
+    pub fn note_about_samples(&self) -> Option<String> {
+        self.sample_rate_hz().map(|rate| format!("horizons in samples of {} s", 1.0 / rate))
+    }
+
+    /// The note that predictions are of the next sample; `None` if the runs that count predict no further.
+    pub fn note_about_next_sample(&self) -> Option<String> {
+        of_next_sample(
+            self.experiments.values().flat_map(|experiment| &experiment.runs).map(|run| &run.record),
+        )
+    }
+
+    /// Whether a run that counts predicts further than the next sample.
+    pub fn predicts_further(&self) -> bool {
+        self.note_about_next_sample().is_some()
     }
 
     /// Messages about runs that were left out, such as `left out: 3 runs of an older method`.
@@ -761,6 +805,14 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     let note = |count: usize, what: &str| (count > 0).then(|| format!("left out: {count} {what}"));
     let notes = [note(older, "runs of an older method"), note(twice, "runs that were done again since")];
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
+}
+
+/// The note that predictions of these runs are of the next sample; `None` if they predict no further.
+pub fn of_next_sample<'a>(runs: impl Iterator<Item = &'a RunRecord>) -> Option<String> {
+    let longest = runs.map(|run| run.spec.window.horizon).max().filter(|longest| *longest > 1)?;
+    Some(format!(
+        "predictions of the next sample; `compare --horizon N` shows those up to {longest} samples ahead"
+    ))
 }
 
 /// The tables that a query reads.

@@ -4,7 +4,7 @@ use super::rows::Row;
 use super::skill::{skill_horizons, skills};
 use super::{Analysis, AnalysisError, Interval, Key, Run, Setting, interval};
 use harness_catalog::{OVERALL, QueryError, rows};
-use harness_judge::models::NETWORK;
+use harness_judge::models::{self, NETWORK, is_baseline};
 use harness_metrics::Metric;
 use harness_registry::Registry;
 use harness_spec::{Modality, Origin, Task, model_parts};
@@ -57,28 +57,58 @@ pub struct Of {
     pub direction: Option<String>,
     /// The name of the metric, such as `r2`.
     pub metric: String,
-    /// [`NETWORK`], or the name of a baseline.
+    /// [`NETWORK`], the name of a baseline, or that of a model of another program.
     pub model: String,
 }
 
 impl Of {
+    /// Whether the value is of a baseline.
+    pub fn is_baseline(&self) -> bool {
+        is_baseline(&self.model)
+    }
+
     /// Returns the name of the model of another program that the value is of, if it is of one.
     pub fn external(&self) -> Option<&str> {
-        model_parts(&self.variant).1.filter(|_| self.model == NETWORK)
+        Some(self.model.as_str()).filter(|model| *model != NETWORK && !is_baseline(model))
+    }
+
+    /// Whether the value is of the model with this name. [`NETWORK`] stands for all models but baselines.
+    pub fn is_by(&self, model: &str) -> bool {
+        self.model == model || model == NETWORK && !self.is_baseline()
     }
 }
 
-/// The means of the finished runs of some experiments, or of all, as a table with one row for each mean.
+/// The means of the finished runs of some experiments, or of all, as a table with one row for each mean. Those of the
+/// next sample, or of these horizons in samples if there are any.
 ///
 /// # Errors
-/// When one of the experiments has no finished runs, no run has a requested setting, or a table is damaged.
+/// When one of the experiments has no finished runs, no run has a requested setting or horizon, or a table is damaged.
 pub fn compare(
     registry: &Registry,
     experiments: &[String],
     settings: &[Setting],
+    horizons: &BTreeSet<usize>,
 ) -> Result<DataFrame, AnalysisError> {
     let analysis = Analysis::finished(registry, experiments, settings)?;
-    Ok(Mean::frame(&analysis.means()?).map_err(QueryError::Sql)?)
+    let means = if horizons.is_empty() { analysis.means()? } else { analysis.means_at(horizons, &[])? };
+    Ok(Mean::frame(&means).map_err(QueryError::Sql)?)
+}
+
+/// Checks that each of these names is one of a model of the harness, or of a model of another program that some means
+/// are of.
+///
+/// # Errors
+/// When one of them is not.
+pub fn check_models(wanted: &[String], means: &[Mean]) -> Result<(), AnalysisError> {
+    let external: BTreeSet<&str> = means.iter().filter_map(|mean| mean.of.external()).collect();
+    let known: Vec<&str> = models::ALL.into_iter().chain(external).collect();
+    match wanted.iter().find(|wanted| !known.contains(&wanted.as_str())) {
+        None => Ok(()),
+        Some(wanted) => {
+            let known = known.into_iter().map(str::to_owned).collect();
+            Err(AnalysisError::UnknownModel { wanted: wanted.clone(), known })
+        }
+    }
 }
 
 impl Of {
@@ -108,7 +138,7 @@ impl Mean {
     /// if they share none. A baseline has no seed of training, so its value is compared with every value on the same
     /// dataset. Both must be of the same scenario, so that the values are of the same data.
     pub fn difference_from(&self, base: &Mean) -> Option<Self> {
-        let key = |(dataset, seed): &(u64, u64)| (*dataset, (base.of.model == NETWORK).then_some(*seed));
+        let key = |(dataset, seed): &(u64, u64)| (*dataset, (!base.of.is_baseline()).then_some(*seed));
         let of_base: HashMap<_, f64> = base.seeds.iter().map(key).zip(base.values.iter().copied()).collect();
         let own = self.seeds.iter().zip(&self.values);
         let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(&key(seeds))?)));
@@ -218,15 +248,39 @@ impl Analysis {
     }
 
     /// Like [`Analysis::means_by`], with the means of predictions at these horizons, in samples, instead of those of
-    /// the next sample. A horizon at which no run predicts has none.
+    /// the next sample.
+    ///
+    /// # Errors
+    /// When no run predicts at one of them, or a table is damaged.
+    pub fn means_at(&self, horizons: &BTreeSet<usize>, keys: &[Key]) -> Result<Vec<Mean>, AnalysisError> {
+        let listed: Vec<String> = horizons.iter().map(usize::to_string).collect();
+        let mut rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} in ({})", listed.join(", ")))?;
+        let found: BTreeSet<usize> = rows.iter().filter_map(|row| row.horizon).collect();
+        if let Some(wanted) = horizons.difference(&found).next() {
+            let horizons = self.horizons()?;
+            return Err(AnalysisError::UnknownHorizon { wanted: *wanted, horizons });
+        }
+        rows.extend(skills(&rows));
+        Ok(self.means_of(rows, keys))
+    }
+
+    /// The means of the next sample and, of runs that predict further, those of the horizon that their spec asks for,
+    /// told apart by the horizon. If no run predicts further, they have no horizon.
     ///
     /// # Errors
     /// When a table is damaged.
-    pub fn means_at(&self, horizons: &BTreeSet<usize>, keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
-        let listed: Vec<String> = horizons.iter().map(usize::to_string).collect();
-        let mut rows = self.rows(Table::AllMetrics, &format!("and {HORIZON} in ({})", listed.join(", ")))?;
-        rows.extend(skills(&rows));
-        Ok(self.means_of(rows, keys))
+    pub fn means_at_own_horizons(&self) -> Result<Vec<Mean>, QueryError> {
+        if !self.predicts_further() {
+            return self.means();
+        }
+        let is_own = |of: &Of| {
+            let runs = self.runs(&of.experiment).iter().map(|run| &run.record.spec);
+            let mut own = runs.filter(|spec| spec.scenario == of.scenario && spec.variant == of.variant);
+            of.horizon.is_some_and(|horizon| horizon < 2 || own.any(|spec| spec.window.horizon == horizon))
+        };
+        let mut means = self.means_by(&[Key::Horizon])?;
+        means.retain(|mean| is_own(&mean.of));
+        Ok(means)
     }
 
     /// The horizons at which the runs that count predict, in samples.
@@ -294,7 +348,7 @@ impl Analysis {
                 settings: settings.clone(),
                 values: asked.iter().map(|key| (*key, run.setting(key).to_owned())).collect(),
                 horizon: row.horizon,
-                latent: spec.latent().filter(|_| row.model == NETWORK),
+                latent: spec.latent().filter(|_| !is_baseline(&row.model)),
                 task: row.task,
                 modality: row.modality,
                 direction: row.direction,
@@ -303,7 +357,7 @@ impl Analysis {
             };
             // Two variants with the same settings repeat a run.
             let is_repeated = !has_variants
-                && of.model == NETWORK
+                && !of.is_baseline()
                 && !seeds.insert((of.clone(), spec.dataset_seed(), spec.seed));
             if is_repeated {
                 continue;
@@ -313,7 +367,7 @@ impl Analysis {
         }
         let mean = |(of, (unit, values)): (Of, Values)| {
             let mut values: Vec<((u64, u64), f64)> = values.into_values().collect();
-            if of.model != NETWORK {
+            if of.is_baseline() {
                 let mut datasets = BTreeSet::new();
                 values.retain(|((dataset, _), _)| datasets.insert(*dataset));
             }
@@ -333,11 +387,11 @@ fn over_most_datasets(means: Vec<Mean>) -> Vec<Mean> {
         ..of.clone()
     };
     let mut alike: BTreeMap<Of, Vec<Mean>> = BTreeMap::new();
-    for mean in means.iter().filter(|mean| mean.of.model != NETWORK) {
+    for mean in means.iter().filter(|mean| mean.of.is_baseline()) {
         alike.entry(of_any_run(&mean.of)).or_default().push(mean.clone());
     }
     let complete = |mean: Mean| {
-        if mean.of.model == NETWORK {
+        if !mean.of.is_baseline() {
             return mean;
         }
         let others = alike[&of_any_run(&mean.of)].iter().filter(|other| mean.agrees_with(other));

@@ -10,18 +10,22 @@ use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use harness::analysis::{
-    Analysis, Comparison, Interval, Key, Label, Labels, Mean, Place, Setting, Side, Subject, printed,
-    replicates_of, usual_key,
+    Analysis, Comparison, Interval, Key, Label, Labels, Mean, Place, Setting, Side, Subject, check_models,
+    printed, replicates_of, usual_key,
 };
-use harness::judge::models;
 use harness::meant;
 use harness::metrics::{Metric, best};
-use harness::numbers::{Natural, counted};
+use harness::numbers::Natural;
 use harness::registry::Registry;
 use harness::spec::{Task, variant_parts};
-use std::borrow::Cow;
+use polars::prelude::{Column, DataFrame, PolarsResult};
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
+
+/// The metrics that are compared if none is asked for.
+const USUAL: &str = "smape,wmape,r2,relative_error";
+/// The metrics that are always defined.
+const ALWAYS_DEFINED: [Metric; 2] = [Metric::Rmse, Metric::Mae];
 
 #[derive(Args)]
 pub struct Compare {
@@ -37,12 +41,7 @@ pub struct Compare {
     /// pixels of a region, such as finger, r2_KIND for a kind of contact, such as ground, r2_from_Ns for the samples
     /// after N s, skill over persistence, skill_horizon, up to which the skill is positive, kl of the latent state, or
     /// active, the number of its dimensions that are used
-    #[arg(
-        long,
-        value_name = "METRIC",
-        value_delimiter = ',',
-        default_value = "smape,wmape,r2,relative_error"
-    )]
+    #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = USUAL)]
     metrics: Vec<String>,
     /// The models, separated by commas: network, which stands for all networks and models of other programs, the
     /// baselines persistence, ridge and training_mean, or the name of a model of another program
@@ -80,22 +79,20 @@ pub struct Compare {
 /// A note about skill horizons.
 const LAST_HORIZON: &str = "a skill horizon that is the last horizon of the runs is a lower bound";
 
-/// A note about horizons, given the number of samples per second.
-fn of_samples(rate_hz: f64) -> String {
-    format!("horizons in samples of {} s", 1.0 / rate_hz)
-}
-
-/// Numbers, separated by commas.
-fn listed(numbers: &BTreeSet<usize>) -> String {
-    numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
-}
-
 /// The reason why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    /// No run has the requested metrics. The field is a command that lists those that runs have.
-    #[error("no run has these metrics for this task and model; `{0}` lists those that runs have")]
-    Empty(String),
+    /// No run has the requested metrics.
+    #[error(
+        "{}no run has these metrics for this task and model; `{list}` lists those that runs have",
+        reasons.iter().map(|reason| format!("{reason}; ")).collect::<String>()
+    )]
+    Empty {
+        /// The reasons that are known.
+        reasons: Vec<String>,
+        /// A command that lists the metrics that runs have.
+        list: String,
+    },
     /// A metric is none of the harness, and no run has it as a metric of the user.
     #[error(
         "there is no metric '{wanted}'{meant}{allowed}{}",
@@ -110,14 +107,6 @@ pub enum CompareError {
         allowed: String,
         /// The metrics that users added to runs.
         own: BTreeSet<String>,
-    },
-    /// A model is none of the harness, and no run is of a model of that name.
-    #[error("there is no model '{wanted}'{}there are {known}", meant(wanted, &known.split(", ").collect::<Vec<_>>()))]
-    Model {
-        /// The name.
-        wanted: String,
-        /// The models that there are.
-        known: String,
     },
     /// No column has the heading of `--difference-from`.
     #[error("there is no column '{wanted}'; the columns are {}", columns.join(", "))]
@@ -135,14 +124,6 @@ pub enum CompareError {
         /// What the runs predict.
         known: String,
     },
-    /// No run predicts so many samples ahead.
-    #[error("no run predicts {} ahead; the horizons of the runs are {}", counted(*wanted, "sample"), listed(horizons))]
-    Horizon {
-        /// The wanted number of samples.
-        wanted: usize,
-        /// The horizons of the runs, in samples.
-        horizons: BTreeSet<usize>,
-    },
     /// Horizons are columns, and one is chosen.
     #[error("--horizon chooses the rows, so horizon can't be in --by")]
     Horizons,
@@ -158,7 +139,7 @@ pub enum CompareError {
 
 impl Compare {
     /// Prints the table, or prints or writes the means.
-    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+    pub fn execute(mut self, registry: &Registry) -> Result<ExitCode> {
         let form = self.to.form()?;
         let analysis = Analysis::finished(registry, &self.experiments, &self.settings)?;
         if analysis.experiments().next().is_none() {
@@ -169,19 +150,18 @@ impl Compare {
             all.extend(analysis.skill_horizons_by(&self.by)?);
         }
         self.check_metrics(&all)?;
-        self.check_models(&all)?;
+        check_models(&self.models, &all)?;
         self.check_modalities(&all)?;
-        let is_wanted = |mean: &Mean| {
-            let is_model = |name: &String| *name == mean.of.model || mean.of.external() == Some(name);
-            self.metrics.contains(&mean.of.metric)
-                && self.models.iter().any(is_model)
-                && (self.modality.is_empty() || self.modality.iter().any(|name| mean.of.is_of(name)))
-                && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
-        };
-        let means: Vec<Mean> = all.into_iter().filter(is_wanted).collect();
+        let undefined =
+            analysis.undefined()?.sentences(|metric| self.metrics.iter().any(|name| name == metric));
+        if !all.iter().any(|mean| self.wants(mean)) && self.metrics.join(",") == USUAL {
+            self.metrics = ALWAYS_DEFINED.map(|metric| metric.name().to_owned()).to_vec();
+        }
+        let means: Vec<Mean> = all.into_iter().filter(|mean| self.wants(mean)).collect();
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
-            return Err(CompareError::Empty(registry.command(list)).into());
+            let (reasons, list) = (undefined, registry.command(list));
+            return Err(CompareError::Empty { reasons, list }.into());
         }
         let labels = Labels::new(&analysis, &self.by);
         let by = if self.by.is_empty() { vec![usual_key(&means)] } else { self.by };
@@ -199,23 +179,37 @@ impl Compare {
                 for note in analysis.notes() {
                     eprintln!("{note}");
                 }
-                let means: Vec<Mean> =
-                    if self.difference_from.is_some() { comparison.means() } else { means };
-                return data.write(&mut Mean::frame(&means)?, "mean");
+                let mut frame = match &self.difference_from {
+                    Some(base) => comparison.differences(base)?,
+                    None => Mean::frame(&means)?,
+                };
+                return data.write(&mut frame, "mean");
             }
         };
+        let is_over_horizons = |mean: &Mean| mean.of.metric == Metric::SkillHorizon.name();
         if by.contains(&Key::Horizon) || !self.horizon.is_empty() {
-            comparison.notes.extend(analysis.sample_rate_hz().map(of_samples));
+            comparison.notes.extend(analysis.note_about_samples());
+        } else if !means.iter().all(is_over_horizons) {
+            comparison.notes.extend(analysis.note_about_next_sample());
         }
-        if means.iter().any(|mean| mean.of.metric == Metric::SkillHorizon.name()) {
+        if means.iter().any(is_over_horizons) {
             comparison.notes.push(LAST_HORIZON.to_owned());
         }
+        comparison.notes.extend(undefined);
         comparison.notes.extend(analysis.notes().iter().cloned());
         if style == Style::Text && !self.all {
             comparison.leave_out_baselines();
         }
         print!("{}", comparison.sheet(style).render(style, width()));
         Ok(ExitCode::from(DONE))
+    }
+
+    /// Whether a mean has a wanted metric, model, modality and task.
+    fn wants(&self, mean: &Mean) -> bool {
+        self.metrics.contains(&mean.of.metric)
+            && self.models.iter().any(|model| mean.of.is_by(model))
+            && (self.modality.is_empty() || self.modality.iter().any(|name| mean.of.is_of(name)))
+            && self.task.as_ref().is_none_or(|task| task == mean.of.task.name())
     }
 
     /// The means at the chosen horizons, or by the keys.
@@ -227,14 +221,7 @@ impl Compare {
             return Err(CompareError::Horizons.into());
         }
         let wanted: BTreeSet<usize> = self.horizon.iter().map(|horizon| *horizon as usize).collect();
-        let means = analysis.means_at(&wanted, &self.by)?;
-        let found: BTreeSet<usize> = means.iter().filter_map(|mean| mean.of.horizon).collect();
-        match wanted.difference(&found).next() {
-            Some(wanted) => {
-                Err(CompareError::Horizon { wanted: *wanted, horizons: analysis.horizons()? }.into())
-            }
-            None => Ok(means),
-        }
+        Ok(analysis.means_at(&wanted, &self.by)?)
     }
 
     /// Whether this metric is wanted.
@@ -256,16 +243,6 @@ impl Compare {
             }
         }
         Ok(())
-    }
-
-    /// Returns an error if a model is none of the harness, and no run is of a model of that name.
-    fn check_models(&self, means: &[Mean]) -> Result<(), CompareError> {
-        let external: BTreeSet<&str> = means.iter().filter_map(|mean| mean.of.external()).collect();
-        let known: Vec<&str> = models::ALL.into_iter().chain(external).collect();
-        match self.models.iter().find(|wanted| !known.contains(&wanted.as_str())) {
-            Some(wanted) => Err(CompareError::Model { wanted: wanted.clone(), known: known.join(", ") }),
-            None => Ok(()),
-        }
     }
 
     /// Returns an error if no run predicts a modality.
@@ -384,9 +361,16 @@ impl<'a> Printed<'a> {
         self.notes.push(format!("{names} of each column is left out, and --all shows it"));
     }
 
-    /// The values of all rows and columns.
-    fn means(self) -> Vec<Mean> {
-        self.table.values.into_values().map(Cow::into_owned).collect()
+    /// The means of all rows and columns as a table for programs. The column `difference_from` has the heading `base`
+    /// in the rows that are differences.
+    fn differences(self, base: &str) -> PolarsResult<DataFrame> {
+        let of = |side: &Side| (self.base.as_ref() != Some(side)).then_some(base);
+        let from: Vec<Option<&str>> = self.table.values.keys().map(|(_, side)| of(side)).collect();
+        let means: Vec<Mean> = self.table.values.values().map(|mean| mean.as_ref().clone()).collect();
+        let mut frame = Mean::frame(&means)?;
+        let before = frame.get_column_index("datasets").unwrap_or_default();
+        frame.insert_column(before, Column::new("difference_from".into(), from))?;
+        Ok(frame)
     }
 
     fn sheet(&self, style: Style) -> Sheet {

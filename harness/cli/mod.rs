@@ -668,6 +668,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
                     | FigureError::Ambiguous { .. }
                     | FigureError::NoMeans { .. }
                     | FigureError::TooMany { .. }
+                    | FigureError::Horizon
             )
         )
         || error.is::<import::ImportError>()

@@ -8,7 +8,7 @@ use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, Command};
 use harness::analysis::{Analysis, Key, Setting};
 use harness::figures::{Format, Plot as Drawn};
-use harness::judge::models::{self, NETWORK};
+use harness::judge::models::NETWORK;
 use harness::numbers::counted;
 use harness::registry::Registry;
 use harness::spec::Task;
@@ -33,13 +33,16 @@ pub struct Plot {
     /// The key that distinguishes panels
     #[arg(long, value_name = "KEY", value_parser = key(&Key::ALL))]
     facet: Option<Key>,
-    /// The networks and the baselines to plot, separated by commas
-    #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = NETWORK,
-          value_parser = PossibleValuesParser::new(models::ALL))]
+    /// The models to plot, separated by commas: network, which stands for all networks and models of other programs,
+    /// the baselines persistence, ridge and training_mean, or the name of a model of another program
+    #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = NETWORK)]
     models: Vec<String>,
     /// Plot only this task [default: prediction; both tasks if the plot distinguishes them]
     #[arg(long, value_parser = task())]
     task: Option<Task>,
+    /// Plot predictions N samples ahead [default: the next sample; all horizons if the plot distinguishes them]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    horizon: Option<u32>,
     /// Plot only this predicted modality, for example contact_force, or the part of it with one unit, for example
     /// "joints in rad"
     #[arg(long, value_name = "NAME")]
@@ -106,8 +109,9 @@ impl Plot {
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let Self { x, y, by, facet, models, task, modality, output: (path, format), .. } = self;
-        let drawing = Drawn { x, y, by, facet, task, modality, models }.draw(&analysis)?;
+        let Self { x, y, by, facet, models, task, horizon, modality, output: (path, format), .. } = self;
+        let horizon = horizon.map(|horizon| horizon as usize);
+        let drawing = Drawn { x, y, by, facet, task, horizon, modality, models }.draw(&analysis)?;
         let means = counted(drawing.data.height(), "mean");
         drawing.save_as(&path, format)?;
         println!("{means} in {}", shown(&path));

@@ -3,6 +3,7 @@
 
 use super::sheet::{MISSING, Sheet, Style};
 use anyhow::Result;
+use harness::analysis::{Undefined, of_next_sample};
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
@@ -10,7 +11,7 @@ use harness::learning::training::TOTAL;
 use harness::metrics::{Metric, best, rounded};
 use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord};
-use harness::spec::model_parts;
+use harness::spec::{Task, model_parts};
 use serde::Deserialize;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -30,7 +31,8 @@ struct Row {
     direction: Option<String>,
     metric: String,
     unit: String,
-    network: Option<f64>,
+    /// The value of the network or the model of another program.
+    own: Option<f64>,
     persistence: Option<f64>,
     ridge: Option<f64>,
     training_mean: Option<f64>,
@@ -47,8 +49,9 @@ pub enum Metrics {
 
 /// Metrics of the runs in question and of the baselines, averaged over seeds.
 pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
-    let means =
-        models::ALL.map(|model| format!("avg(case when model = '{model}' then value end) as {model}"));
+    let of_baseline = |model: &str| format!("avg(case when model = '{model}' then value end) as {model}");
+    let own = format!("avg(case when model not in ({}) then value end) as own", models::baselines_in_sql());
+    let means: Vec<String> = std::iter::once(own).chain(models::BASELINES.map(of_baseline)).collect();
     let chosen = match metrics {
         Metrics::Main => format!("{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
         Metrics::All => "index is null".to_owned(),
@@ -59,12 +62,12 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
          order by task, scenario desc, variant, latent, modality, direction, metric",
         means.join(", ")
     );
-    let mut rows: Vec<Row> = rows(&mut query_of(registry, is_wanted, &sql)?)?;
+    let mut rows: Vec<Row> = rows(&mut query_of(registry, &is_wanted, &sql)?)?;
     let place =
         |row: &Row| (row.task.clone(), Reverse(row.scenario.clone()), Natural::new(row.variant.as_str()));
     rows.sort_by_cached_key(place);
     let row = |row: Row| {
-        let values = [row.network, row.persistence, row.ridge, row.training_mean];
+        let values = [row.own, row.persistence, row.ridge, row.training_mean];
         let number = |(value, is_best): (&Option<f64>, bool)| match value {
             Some(value) => Style::Text.number(&rounded(*value, &row.unit), None, is_best),
             None => MISSING.into(),
@@ -85,7 +88,10 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         std::iter::once(predictors(&rows)).chain(models::BASELINES.map(|model| model.replace('_', " ")));
     let header = header.collect();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
-    let notes = rows.iter().any(is_part).then(|| BY_UNIT.to_owned()).into_iter().collect();
+    let by_unit = rows.iter().any(is_part).then(|| BY_UNIT.to_owned());
+    let records = registry.records();
+    let further = of_next_sample(records.iter().filter(|record| is_wanted(record)));
+    let notes = by_unit.into_iter().chain(further).chain(undefined(&rows)).collect();
     Ok(Sheet {
         titles: 4,
         header,
@@ -94,6 +100,24 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         notes,
         ..Sheet::default()
     })
+}
+
+/// Sentences about the modalities that lack metrics, because they do not change in the test samples.
+fn undefined(rows: &[Row]) -> Vec<String> {
+    let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
+    let mut undefined = Undefined::default();
+    let lacks = |row: &&Row| {
+        let values = [row.own, row.persistence, row.ridge, row.training_mean];
+        let is_whole = row.direction.as_ref().is_none_or(|part| part.starts_with("in "));
+        let is_prediction = row.task == Task::Prediction.name();
+        is_prediction && is_whole && Undefined::may_lack(&row.metric) && values == [None; 4]
+    };
+    for row in rows.iter().filter(lacks) {
+        let part = row.direction.iter().map(|part| format!(" {part}")).collect::<String>();
+        let place = if scenarios.len() > 1 { format!("{}: ", row.scenario) } else { String::new() };
+        undefined.add(&format!("{place}{}{part}", row.modality), &row.metric);
+    }
+    undefined.sentences(|_| true)
 }
 
 /// What the models that are not baselines are called: `network`, the name of an external model, or both words.
@@ -177,7 +201,8 @@ impl Comparison {
             "with errors as ({errors}) select b.model as baseline, \
              sum(case when n.error < b.error then 1 else 0 end) as better, count(*) as outputs \
              from errors as n join errors as b on n.modality = b.modality and n.part = b.part \
-             where n.model = 'network' and b.model <> 'network' group by b.model order by baseline"
+             where n.model not in ({baselines}) and b.model in ({baselines}) group by b.model order by baseline",
+            baselines = models::baselines_in_sql()
         );
         Ok(rows(&mut query_of(registry, is_run, &sql)?)?)
     }

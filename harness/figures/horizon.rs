@@ -68,6 +68,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
                 by: by.clone(),
                 facet: Some(Key::Scenario),
                 task: Some(Task::Prediction),
+                horizon: None,
                 modality: Some(modality.to_owned()),
                 models: models::ALL.map(str::to_owned).to_vec(),
             };

@@ -102,6 +102,9 @@ pub enum FigureError {
         /// What there is, such as `r2 of contact_force`.
         there: Vec<String>,
     },
+    /// One horizon is chosen for a plot over horizons.
+    #[error("the plot is over all horizons, so that none can be chosen")]
+    Horizon,
     /// A plot would have too many series or panels to be read.
     #[error(
         "a plot has at most 12 series and 8 panels, and this one would have {series} and {panels}; choose some of the \

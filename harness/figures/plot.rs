@@ -4,8 +4,8 @@
 use super::axes::{Line, Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
-use harness_analysis::models::{NETWORK, PERSISTENCE};
-use harness_analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, replicates_of};
+use harness_analysis::models::{NETWORK, PERSISTENCE, is_baseline};
+use harness_analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, check_models, replicates_of};
 use harness_metrics::{Metric, label};
 use harness_shared::meant;
 use harness_shared::numbers::rounded;
@@ -49,9 +49,12 @@ pub struct Plot {
     pub facet: Option<Key>,
     /// The task that is evaluated. `None` for the prediction, or for both tasks if the plot distinguishes them.
     pub task: Option<Task>,
+    /// The number of samples that are predicted ahead; `None` for the next sample, or for all horizons if the plot
+    /// distinguishes them.
+    pub horizon: Option<usize>,
     /// The predicted modality, or its elements with one unit (`joints in rad`); `None` for all of them.
     pub modality: Option<String>,
-    /// What is drawn: [`NETWORK`] and names of baselines.
+    /// What is drawn: [`NETWORK`], which stands for all models but baselines, and names of models.
     pub models: Vec<String>,
 }
 
@@ -87,6 +90,7 @@ impl Plot {
             by: vec![Key::Modality],
             facet: Some(Key::Scenario),
             task: Some(task),
+            horizon: None,
             modality: None,
             models: vec![NETWORK.to_owned(), PERSISTENCE.to_owned()],
         }
@@ -110,12 +114,19 @@ impl Plot {
         analysis: &Analysis,
         is_wanted: impl Fn(&Of) -> bool,
     ) -> Result<Drawing, FigureError> {
-        let shown = |of: &Of| self.models.contains(&of.model) && self.has_task(of.task) && is_wanted(of);
-        let keys: Vec<Key> = [self.x].into_iter().chain(self.by.iter().copied()).chain(self.facet).collect();
-        let means = match self.y == Metric::SkillHorizon.name() {
-            true => analysis.skill_horizons_by(&keys)?,
-            false => analysis.means_by(&keys)?,
+        let shown = |of: &Of| {
+            self.models.iter().any(|model| of.is_by(model)) && self.has_task(of.task) && is_wanted(of)
         };
+        let keys: Vec<Key> = [self.x].into_iter().chain(self.by.iter().copied()).chain(self.facet).collect();
+        if self.horizon.is_some() && (self.distinguishes(Key::Horizon) || self.is_over_horizons()) {
+            return Err(FigureError::Horizon);
+        }
+        let means = match self.horizon {
+            Some(horizon) => analysis.means_at(&BTreeSet::from([horizon]), &keys)?,
+            None if self.is_over_horizons() => analysis.skill_horizons_by(&keys)?,
+            None => analysis.means_by(&keys)?,
+        };
+        check_models(&self.models, &means)?;
         let all: Vec<Mean> = means.into_iter().filter(|mean| shown(&mean.of)).collect();
         let has_modality = |of: &Of| self.modality.as_ref().is_none_or(|name| of.is_of(name));
         let is_shown = |mean: &&Mean| mean.of.metric == self.y && has_modality(&mean.of);
@@ -132,7 +143,27 @@ impl Plot {
             };
             return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
         }
-        self.draw_means(&means, &Labels::new(analysis, &keys))
+        self.draw_means(&means, &Labels::new(analysis, &keys), self.note_about_horizon(analysis))
+    }
+
+    /// Whether the metric is computed from the values at all horizons.
+    fn is_over_horizons(&self) -> bool {
+        self.y == Metric::SkillHorizon.name()
+    }
+
+    /// Which sample is predicted; `None` if the plot distinguishes the horizons, or all predictions are of the next one.
+    fn note_about_horizon(&self, analysis: &Analysis) -> Option<String> {
+        let is_one = !self.distinguishes(Key::Horizon) && !self.is_over_horizons();
+        let ahead = |horizon| match analysis.sample_rate_hz() {
+            Some(rate) => {
+                format!("predictions {horizon} samples ({} s) ahead", rounded(horizon as f64 / rate))
+            }
+            None => format!("predictions {horizon} samples ahead"),
+        };
+        match self.horizon {
+            Some(horizon) if horizon > 1 => Some(ahead(horizon)),
+            _ => (is_one && analysis.predicts_further()).then(|| "predictions of the next sample".to_owned()),
+        }
     }
 
     /// Whether the plot distinguishes the values of a key.
@@ -191,7 +222,7 @@ impl Plot {
         for mean in means {
             let keys = self.by.iter().filter(|key| !is_every_value(**key, &mean.of));
             let by: Values = keys.map(|key| value(*key, &mean.of, labels)).collect();
-            let spots = if mean.of.model == NETWORK {
+            let spots = if !mean.of.is_baseline() {
                 networks.entry(by).or_default()
             } else {
                 baselines.entry((&mean.of.model, by)).or_default()
@@ -200,12 +231,12 @@ impl Plot {
         }
         let own: Vec<Values> = networks.keys().cloned().collect();
         let network = |(place, (by, spots)): (usize, (Values, Vec<Spot<'a>>))| {
-            let name = if by.is_empty() { NETWORK.to_owned() } else { words(&by) };
+            let name = if by.is_empty() { one_model(means).to_owned() } else { words(&by) };
             Series { name, look: look(place), is_network: true, spots }
         };
         let mut series: Vec<Series> = networks.into_iter().enumerate().map(network).collect();
         let order =
-            |model: &str| self.models.iter().filter(|name| *name != NETWORK).position(|name| name == model);
+            |model: &str| self.models.iter().filter(|name| is_baseline(name)).position(|name| name == model);
         let mut baselines = merged(baselines);
         baselines.sort_by_key(|(model, by, _)| (order(model), by.clone()));
         for (model, by, spots) in baselines {
@@ -234,7 +265,12 @@ impl Plot {
         }
     }
 
-    fn draw_means(&self, means: &[Mean], labels: &Labels) -> Result<Drawing, FigureError> {
+    fn draw_means(
+        &self,
+        means: &[Mean],
+        labels: &Labels,
+        horizon: Option<String>,
+    ) -> Result<Drawing, FigureError> {
         self.check(means, labels)?;
         let label = self.label(means);
         let panels = self.facet.map_or(vec![Label::from(String::new())], |key| values(key, means, labels));
@@ -248,6 +284,7 @@ impl Plot {
         let [low, high] = range(means);
         let axis = |ends: [f64; 2]| Scale::linear(low, high, 5, ends);
         let notes = notes(means, &self.beyond(&all, &panels, &slots, &axis([0.0, 1.0])), &axis([0.0, 1.0]));
+        let notes: Vec<String> = horizon.into_iter().chain(notes).collect();
 
         let columns = panels.len().min(2);
         let left = 36.0;
@@ -482,6 +519,13 @@ fn look(place: usize) -> Look {
     }
 }
 
+/// The name of the models that are no baselines, if it is one; otherwise [`NETWORK`].
+fn one_model(means: &[Mean]) -> &str {
+    let mut names = means.iter().filter(|mean| !mean.of.is_baseline()).map(|mean| mean.of.model.as_str());
+    let first = names.next().unwrap_or(NETWORK);
+    if names.all(|name| name == first) { first } else { NETWORK }
+}
+
 /// The name of a series.
 fn words(values: &[Label]) -> String {
     plain(&values.iter().map(Label::text).collect::<Vec<_>>().join(", "))
@@ -519,7 +563,7 @@ fn rows_of_names(names: &[String], slot: f64) -> usize {
 /// The range of the vertical axis. It includes the mean of every network but outliers. An interval or a baseline may be
 /// cut if it is farther from these means than twice their range.
 pub(super) fn range(means: &[Mean]) -> [f64; 2] {
-    let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
+    let networks: Vec<&Mean> = means.iter().filter(|mean| !mean.of.is_baseline()).collect();
     let chosen = if networks.is_empty() { means.iter().collect() } else { networks };
     let [low, high] = without_outliers(chosen.iter().map(|mean| mean.interval.mean).collect());
     let is_within = |mean: &&&Mean| (low..=high).contains(&mean.interval.mean);
@@ -556,7 +600,7 @@ fn without_outliers(mut values: Vec<f64>) -> [f64; 2] {
 
 /// The remarks below a plot: what the bars are, and the means beyond the axis.
 pub(super) fn notes(means: &[Mean], beyond: &[String], scale: &Scale) -> Vec<String> {
-    let networks: Vec<&Mean> = means.iter().filter(|mean| mean.of.model == NETWORK).collect();
+    let networks: Vec<&Mean> = means.iter().filter(|mean| !mean.of.is_baseline()).collect();
     let is_cut = means
         .iter()
         .any(|mean| scale.cuts(&mean.interval) && scale.clamp(mean.interval.mean) == mean.interval.mean);

@@ -1,7 +1,6 @@
 //! Collects the metrics of networks and baselines over the horizon.
 
 use super::{Asked, ReportError, short};
-use harness_analysis::models::NETWORK;
 use harness_analysis::{Analysis, Key, Label, Labels, Mean, replicates_of};
 use harness_metrics::Metric;
 use harness_spec::{Origin, Task};
@@ -67,7 +66,7 @@ pub fn curves(analysis: &Analysis, asked: &Asked) -> Result<Vec<Curve>, ReportEr
         let of = &mean.of;
         let panel = (&of.experiment, &of.scenario, of.predicted(), &of.metric);
         let model = Model {
-            is_baseline: of.model != NETWORK,
+            is_baseline: of.is_baseline(),
             name: of.model.clone(),
             variant: labels.variant(&of.variant),
             latent: of.latent,

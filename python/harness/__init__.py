@@ -313,6 +313,7 @@ def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.Data
 def compare(
     *experiments: str,
     where: Mapping[str, Any] | None = None,
+    horizon: int | Iterable[int] = (),
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
     """Computes the means of metrics over datasets and seeds, with 95 % intervals, as `harness compare` does.
@@ -323,17 +324,18 @@ def compare(
     Args:
         experiments: names of experiments. Without any, all experiments are compared.
         where: settings that the runs must have, by dotted key: `{"training.batch_size": 64}`.
+        horizon: the number or numbers of samples that are predicted ahead. The default is the next sample.
         results: the folder of datasets and runs.
 
     Returns:
-        One row for each mean. `seeds` is the number of values: one for each seed on each dataset. A baseline has one
+        One row for each mean. With `horizon`, the column `horizon` says how far ahead. `seeds` is the number of values: one for each seed on each dataset. A baseline has one
         for each dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are
         the ends of the interval, which a single value does not have. If the runs of an experiment differ in settings
         other than scenario, latent size and variant, the column `settings` contains these.
 
     Raises:
         KeyError: an experiment has no finished runs.
-        ValueError: no run has a setting of `where`.
+        ValueError: no run has a setting of `where`, or predicts so many samples ahead.
         FileNotFoundError: there is no results folder.
         RuntimeError: a table is damaged.
 
@@ -346,7 +348,10 @@ def compare(
     import polars
 
     chosen = _names("experiments", experiments)
-    return polars.DataFrame(_harness.compare(chosen, _settings(where), Path(results)))
+    horizons = {horizon} if isinstance(horizon, int) else set(horizon)
+    if not all(isinstance(number, int) and number > 0 for number in horizons):
+        raise ValueError("horizon: numbers of samples, at least 1")
+    return polars.DataFrame(_harness.compare(chosen, _settings(where), horizons, Path(results)))
 
 
 def add_metric(
@@ -505,6 +510,7 @@ def plot(
     facet: str | None = None,
     models: str | Iterable[str] = "network",
     task: str | None = None,
+    horizon: int | None = None,
     modality: str | None = None,
     where: Mapping[str, Any] | None = None,
     output: str | os.PathLike[str] = "plot.svg",
@@ -522,8 +528,11 @@ def plot(
         y: the metric along the vertical axis, such as `r2`.
         by: the key or keys that distinguish series.
         facet: the key that distinguishes panels.
-        models: what is drawn: `network`, and the baselines `persistence`, `ridge` and `training_mean`.
+        models: what is drawn: `network`, which stands for all networks and models of other programs, the baselines
+            `persistence`, `ridge` and `training_mean`, or names of models of other programs.
         task: prediction or reconstruction. The default is prediction, or both if `task` is one of the keys.
+        horizon: the number of samples that are predicted ahead. The default is the next sample, or all horizons if
+            `horizon` is one of the keys.
         modality: draws only this predicted modality, such as `contact_force`.
         where: settings that the runs must have, as in `compare`.
         output: the file to write. It ends in `.svg`, `.png`, or `.csv` for the numbers.
@@ -534,8 +543,8 @@ def plot(
 
     Raises:
         KeyError: an experiment has no finished runs.
-        ValueError: there is no such key, metric, model, task or format, no run has the metric, or the means differ in a
-            key that the plot does not show.
+        ValueError: there is no such key, metric, model, task, horizon or format, no run has the metric, or the means
+            differ in a key that the plot does not show.
         FileNotFoundError: there is no results folder.
         OSError: the file can't be written.
         RuntimeError: a table is damaged.
@@ -546,7 +555,9 @@ def plot(
     """
     chosen, keys, models = _names("experiments", experiments), list(name_tuple(by)), list(name_tuple(models))
     settings, file = _settings(where), Path(output)
-    _harness.plot(chosen, x, y, keys, facet, models, task, modality, settings, file, Path(results))
+    if horizon is not None and horizon < 1:
+        raise ValueError("horizon: a number of samples, at least 1")
+    _harness.plot(chosen, x, y, keys, facet, models, task, horizon, modality, settings, file, Path(results))
     return Path(output)
 
 

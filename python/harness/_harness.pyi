@@ -44,7 +44,7 @@ def run(
 def query(sql: str, results: Path) -> Table:
     """See `harness.query`."""
 
-def compare(experiments: list[str], settings: list[str], results: Path) -> Table:
+def compare(experiments: list[str], settings: list[str], horizons: set[int], results: Path) -> Table:
     """See `harness.compare`."""
 
 def claims(
@@ -73,6 +73,7 @@ def plot(
     facet: str | None,
     models: list[str],
     task: str | None,
+    horizon: int | None,
     modality: str | None,
     settings: list[str],
     output: Path,

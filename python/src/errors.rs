@@ -103,7 +103,10 @@ impl Raise for AnalysisError {
 impl Raise for FigureError {
     fn raise(self) -> PyErr {
         match self {
-            Self::Ambiguous { .. } | Self::TooMany { .. } | Self::NoMeans { .. } => self.value_error(),
+            Self::Ambiguous { .. } | Self::TooMany { .. } | Self::NoMeans { .. } | Self::Horizon => {
+                self.value_error()
+            }
+            Self::Analysis(error) => error.raise(),
             Self::Query(error) => error.raise(),
             Self::Write(_) => PyOSError::new_err(describe(&self)),
             _ => self.runtime_error(),

@@ -9,7 +9,6 @@ use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::{self, describe};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
-use harness::judge::models;
 use harness::progress::Silent;
 use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, quoted};
 use harness::report::{Asked, ReportError};
@@ -167,6 +166,7 @@ pub fn plot(
     facet: Option<&str>,
     models: Vec<String>,
     task: Option<&str>,
+    horizon: Option<usize>,
     modality: Option<String>,
     settings: Vec<String>,
     output: PathBuf,
@@ -178,8 +178,9 @@ pub fn plot(
         by: by.iter().map(|name| key(name)).collect::<PyResult<_>>()?,
         facet: facet.map(key).transpose()?,
         task: task.map(|task| one_named("task", task, Task::ALL, Task::name)).transpose()?,
+        horizon,
         modality,
-        models: named("model", &models, &models::ALL, |name| name)?.into_iter().map(str::to_owned).collect(),
+        models,
     };
     let format = Format::of(&output).map_err(PyValueError::new_err)?;
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);

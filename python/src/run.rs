@@ -16,6 +16,7 @@ use polars_arrow::ffi::{ArrowArrayStream, export_iterator};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
+use std::collections::BTreeSet;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -145,13 +146,14 @@ pub fn compare(
     py: Python,
     experiments: Vec<String>,
     settings: Vec<String>,
+    horizons: BTreeSet<usize>,
     results: PathBuf,
 ) -> PyResult<Table> {
     let settings = settings_of(&settings)?;
     let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
-    let means = interruptible(py, || analysis::compare(&registry, &experiments, &settings), || ())?;
-    let means = means.map_err(Raise::raise)?;
+    let compare = || analysis::compare(&registry, &experiments, &settings, &horizons);
+    let means = interruptible(py, compare, || ())?.map_err(Raise::raise)?;
     warn(py, &registry)?;
     Ok(Table(means))
 }

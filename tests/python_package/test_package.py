@@ -713,7 +713,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     calls = {
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
-        "compare": lambda: _harness.compare(["smoke"], [], results),
+        "compare": lambda: _harness.compare(["smoke"], [], set(), results),
         "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", None, False, [], results),
         "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, None, [], results),
         "plot": lambda: _harness.plot(
@@ -724,6 +724,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
             "scenario",
             ["network"],
             "prediction",
+            None,
             None,
             [],
             tmp_path / "plot.svg",
