@@ -4,10 +4,11 @@ use crate::common::{SMOKE, copy_folder, finish, fresh, harness, in_chromium, suc
 use crate::figures::assert_whole;
 use harness::analysis::{LEVEL, mean_interval};
 use harness::experiment::rollout;
+use harness::registry::{Registry, read_columns};
 use harness::schema::{GIVEN, HORIZON, Table};
 use harness::spec::Modality;
-use harness::tables::{Stamp, TableFile, write_table};
-use harness::{catalog, registry::Registry, seal};
+use harness::tables::{Stamp, write_table};
+use harness::{catalog, seal};
 use image::AnimationDecoder;
 use image::codecs::gif::GifDecoder;
 use polars::prelude::*;
@@ -90,12 +91,10 @@ fn add_further_rows(run: &Path) {
         if !usual.exists() {
             continue;
         }
-        let rows = TableFile::open(&usual)
-            .unwrap()
-            .table(None)
-            .unwrap()
-            .lazy()
-            .with_column(col(value) + lit(1000.0));
+        let columns: Vec<String> =
+            table.usual().unwrap().columns().into_iter().map(|column| column.name).collect();
+        let rows = read_columns(&fs::read(&usual).unwrap(), &columns).unwrap();
+        let rows = rows.lazy().with_column(col(value) + lit(1000.0));
         let with = |horizon: i64, given: Option<&'static str>| {
             let given = given.map_or(lit(NULL).cast(DataType::String), lit);
             rows.clone().with_columns([lit(horizon).cast(DataType::Int64).alias(HORIZON), given.alias(GIVEN)])
@@ -175,7 +174,7 @@ fn further_rows_change_no_other_answer() {
         assert_eq!(of("horizon <= 1 and given is null"), usual);
         assert_eq!(of("horizon = 0 and task = 'prediction'"), 0);
     }
-    let pages = [&plain, &further].map(|results| served(results));
+    let pages = [&plain, &further].map(|results| served_of_next_sample(results));
     assert_eq!(pages[0], pages[1]);
     // What copies or packs the runs takes the further rows along, and changes no other.
     let moved = [&plain, &further].map(|results| moved(results));
@@ -199,8 +198,8 @@ fn further_rows_change_no_other_answer() {
     [plain, further].iter().for_each(|folder| fs::remove_dir_all(folder).unwrap());
 }
 
-/// What `harness serve` sends of metrics of the next sample: of a run, of a query, and the claims.
-fn served(results: &Path) -> Vec<Value> {
+/// What `harness serve` answers to requests, each a method, a path and a body.
+fn served(results: &Path, requests: &[(&str, &str, &str)]) -> Vec<Value> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
     let command = command.arg("--results").arg(results).args(["serve", "--port", "0"]);
     let mut server = Serving(command.stdout(Stdio::piped()).spawn().unwrap());
@@ -208,10 +207,11 @@ fn served(results: &Path) -> Vec<Value> {
     BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut address).unwrap();
     let url = address.split_whitespace().next().unwrap();
     let host = url.trim_start_matches("http://").trim_end_matches('/');
-    let ask = |request: &str, body: &str| {
+    let ask = |(method, path, body): &(&str, &str, &str)| {
         let mut stream = TcpStream::connect(host).unwrap();
         let length = body.len();
-        let head = format!("{request} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n{body}");
+        let head =
+            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n{body}");
         stream.write_all(head.as_bytes()).unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
@@ -224,15 +224,17 @@ fn served(results: &Path) -> Vec<Value> {
         }
         body
     };
+    requests.iter().map(ask).collect()
+}
+
+/// What `harness serve` sends of metrics of the next sample: of a run, of a query, and the claims.
+fn served_of_next_sample(results: &Path) -> Vec<Value> {
     let run = runs(results).into_iter().find(|run| run.to_str().unwrap().contains("senses/empty")).unwrap();
     let run = format!("senses/{}", run.file_name().unwrap().to_str().unwrap());
     let sql =
         "select run, metric, avg(value) as mean, count(*) as rows from metrics group by all order by all";
-    vec![
-        ask(&format!("GET /api/run?run={}", run.replace('/', "%2F").replace('=', "%3D")), ""),
-        ask("GET /api/claims", ""),
-        ask("POST /api/sql", sql),
-    ]
+    let run = format!("/api/run?run={}", run.replace('/', "%2F").replace('=', "%3D"));
+    served(results, &[("GET", &run, ""), ("GET", "/api/claims", ""), ("POST", "/api/sql", sql)])
 }
 
 /// A server that is stopped when this value is dropped, also if the test fails.
@@ -523,6 +525,61 @@ fn a_metric_is_plotted_over_the_horizon() {
     let svg = fs::read_to_string(path("plot.svg")).unwrap();
     for text in ["horizon (samples)", "1", "2", "4", "skill", "contact_force"] {
         assert!(svg.contains(&format!("aria-label=\"{text}\"")), "no {text}");
+    }
+}
+
+#[test]
+fn every_answer_says_how_far_ahead_its_predictions_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let plot = |name: &str, more: &[&str]| {
+        let path = path(name).display().to_string();
+        let asked = ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--output", &path];
+        succeed(&RESULTS, &[&asked[..], more].concat());
+        fs::read_to_string(path).unwrap()
+    };
+    let (next, further) = (plot("next.csv", &[]), plot("further.csv", &["--horizon", "4"]));
+    let asked = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--task", "prediction"];
+    let compared = |more: &[&str]| succeed(&RESULTS, &[&asked[..], more].concat());
+    assert_eq!(further, compared(&["--horizon", "4", "--format", "csv"]));
+    assert_eq!(next, compared(&["--format", "csv"]));
+    assert!(plot("next.svg", &[]).contains("predictions of the next sample"));
+    assert!(plot("further.svg", &["--horizon", "4"]).contains("predictions 4 samples (0.4 s) ahead"));
+    let said = compared(&[]).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        said.contains("predictions of the next sample; `compare --horizon N` shows those up to 4"),
+        "{said}"
+    );
+    for (more, words) in [
+        (["--x", "latent", "--horizon", "3"], "the horizons of the runs are 1, 2, 4"),
+        (["--x", "horizon", "--horizon", "4"], "the plot is over all horizons"),
+    ] {
+        let refused = finish(&mut harness(&RESULTS, &[&["plot", "smoke", "--y", "r2"], &more[..]].concat()));
+        assert!(refused.code == 2 && refused.stderr.contains(words), "{}", refused.stderr);
+    }
+    // The pages have both.
+    let page = path("report.html").display().to_string();
+    succeed(&RESULTS, &["report", "smoke", "--output", &page]);
+    let page = fs::read_to_string(page).unwrap();
+    let metrics = page.split("<section id=\"metrics\">").nth(1).unwrap().split("</section>").next().unwrap();
+    for words in ["contact force, next sample", "contact force, 4 samples ahead"] {
+        assert!(metrics.contains(words) && !metrics.contains("2 samples ahead"), "{metrics}");
+    }
+    let [tables, runs] =
+        ["/api/compare?experiment=smoke", "/api/runs"].map(|path| served(&RESULTS, &[("GET", path, "")]));
+    let rows = tables[0]["tables"][0]["rows"].as_array().unwrap();
+    assert!(rows.iter().any(|row| row["modality"] == "contact force, 4 samples ahead"), "{rows:?}");
+    let columns = runs[0]["columns"].as_array().unwrap();
+    for (name, horizon) in [("next sample", 1), ("4 samples ahead", 4)] {
+        let column = columns.iter().find(|one| one["name"] == format!("contact_force r2, {name}")).unwrap();
+        let sql = format!(
+            "select value from all_metrics where task = 'prediction' and horizon = {horizon} and metric = 'r2' and \
+             modality = 'contact_force' and model = 'network' and index is null and direction is null order by run"
+        );
+        let expected = catalog::query(&Registry::new(&*RESULTS), &sql).unwrap();
+        let expected: Vec<f64> =
+            expected.column("value").unwrap().f64().unwrap().into_no_null_iter().collect();
+        assert_eq!(column["values"], json!(expected));
     }
 }
 

@@ -285,6 +285,8 @@ struct Has {
     finger: bool,
     course: bool,
     horizon: bool,
+    /// Whether networks predict further than the next sample, which most charts show.
+    further: bool,
     regression: bool,
     training: bool,
 }
@@ -381,6 +383,7 @@ pub fn page(
             finger: data.joints.iter().any(joints::Series::is_of_finger),
             course: !data.course.is_empty(),
             horizon: !data.horizon.is_empty(),
+            further: analysis.predicts_further(),
             regression: !data.regression.is_empty(),
             training: !data.training.is_empty(),
         },

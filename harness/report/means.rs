@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The metrics of an experiment's networks in a scenario, and those of the baselines. Columns are variants if there are
-/// several and one latent size, and otherwise latent sizes.
+/// several and one latent size, and otherwise latent sizes. Rows are of the next sample, and of the horizon of the spec.
 #[derive(Serialize)]
 pub struct Table {
     experiment: String,
@@ -26,6 +26,7 @@ pub struct Table {
 /// A metric of a modality.
 #[derive(Serialize)]
 struct Row {
+    /// What is predicted and, if the networks predict further than the next sample, how far ahead.
     modality: String,
     metric: String,
     /// `↑` if higher values are better, and `↓` if lower ones are.
@@ -43,7 +44,7 @@ pub fn tables(analysis: &Analysis, asked: &Asked) -> Result<Vec<Table>, ReportEr
         return Ok(Vec::new());
     }
     let mut by_experiment: BTreeMap<_, Vec<Mean>> = BTreeMap::new();
-    for mean in analysis.means()?.into_iter().filter(|mean| is_general(&mean.of.metric)) {
+    for mean in analysis.means_at_own_horizons()?.into_iter().filter(|mean| is_general(&mean.of.metric)) {
         let place = asked.experiments.iter().position(|name| *name == mean.of.experiment);
         by_experiment.entry(place).or_default().push(mean);
     }
@@ -99,7 +100,7 @@ impl Row {
             Some((format!("{}{half}", rounded(interval.mean)), is_best))
         };
         Self {
-            modality: subject.predicted(),
+            modality: subject.predicted_ahead(),
             metric: label(metric.name(), unit),
             better: if is_up { "↑" } else { "↓" },
             values: columns.iter().map(words).collect(),

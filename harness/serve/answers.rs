@@ -208,7 +208,7 @@ pub fn settings(version: u128, runs: &[Recorded]) -> String {
 pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Result<Answer, Failure> {
     let selection = Selection { experiments: vec![experiment.to_owned()], ..Selection::default() };
     let analysis = Analysis::of(registry, runs.to_vec(), &selection)?;
-    let means = analysis.means()?;
+    let means = analysis.means_at_own_horizons()?;
     if means.is_empty() {
         return Err(Failure::Unknown(format!("finished run of {experiment}")));
     }
@@ -230,7 +230,7 @@ pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Resu
                 interval.as_ref().map(|interval| cell(interval, unit, is_best))
             };
             json!({
-                "modality": subject.predicted(),
+                "modality": subject.predicted_ahead(),
                 "metric": metric_label(metric, unit),
                 "better": higher_is_better(metric),
                 "cells": cells.map(cell).collect::<Vec<_>>(),

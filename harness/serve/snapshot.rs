@@ -2,8 +2,9 @@
 
 use super::answers::{Answer, Failure, columns, number};
 use harness_analysis::higher_is_better;
+use harness_analysis::models::baselines_in_sql;
 use harness_catalog::query_recorded;
-use harness_registry::{Recorded, Registry, Remembered, Tags, tags_of};
+use harness_registry::{Recorded, Registry, Remembered, RunRecord, Tags, tags_of};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
@@ -17,9 +18,13 @@ const FRESH: Duration = Duration::from_secs(1);
 const RUNS: &str = "select experiment, run, status, scenario, input, output, architecture, latent, variant, seed, \
      started, prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
      parameters, reading, reason, host, dataset, group_hash from runs order by experiment, run";
-/// The overall metrics of the networks that predict.
-const METRICS: &str = "select experiment, run, modality, metric, value from metrics where task = 'prediction' and \
-     model = 'network' and index is null and direction is null";
+/// The overall metrics of predictions of the next sample, by all models but baselines.
+const METRICS: &str = "select experiment, run, modality, metric, 1 as horizon, value from metrics \
+     where task = 'prediction' and model not in ({baselines}) and index is null and direction is null";
+/// Those of predictions of later samples.
+const FURTHER_METRICS: &str = "select experiment, run, modality, metric, horizon, value from all_metrics \
+     where task = 'prediction' and model not in ({baselines}) and index is null and direction is null \
+     and given is null and horizon > 1";
 
 /// The runs of a results folder, which are read again when they change.
 pub struct Snapshot {
@@ -126,21 +131,27 @@ impl Snapshot {
         let ask = |sql: &str| query_recorded(&self.registry, all, sql);
         let runs = ask(RUNS)?;
         let mut left_out = self.left_out.clone();
-        let metrics = match ask(METRICS) {
-            Ok(rows) => metrics(&runs, &rows)?,
-            Err(error) => {
-                left_out.push(format!("the metrics of all runs are left out: {error}"));
-                Metrics::new()
+        let own: HashMap<(&str, &str), i64> = all.iter().map(|(_, record)| own_horizon(record)).collect();
+        let further = own.values().any(|horizon| *horizon > 1).then_some(FURTHER_METRICS);
+        let mut metrics = Metrics::new();
+        for sql in [METRICS].into_iter().chain(further) {
+            match ask(&sql.replace("{baselines}", &baselines_in_sql())) {
+                Ok(rows) => add_metrics(&mut metrics, &runs, &rows, &own)?,
+                Err(error) => left_out.push(format!("the metrics of all runs are left out: {error}")),
             }
-        };
+        }
         let is_whole = left_out.len() == self.left_out.len();
         let mut found = columns(&runs, runs.height());
         found.push(json!({ "name": "tags", "values": tags_of(&runs, &self.tags)? }));
-        for ((modality, metric), values) in metrics {
+        for ((modality, metric, horizon), values) in metrics {
             let values: Vec<Value> =
                 values.into_iter().map(|value| value.map_or(Value::Null, number)).collect();
             found.push(json!({
-                "name": format!("{modality} {metric}"),
+                "name": match (further, horizon) {
+                    (None, _) => format!("{modality} {metric}"),
+                    (_, 1) => format!("{modality} {metric}, next sample"),
+                    _ => format!("{modality} {metric}, {horizon} samples ahead"),
+                },
                 "metric": metric,
                 "better": higher_is_better(&metric),
                 "values": values,
@@ -159,11 +170,21 @@ impl Snapshot {
     }
 }
 
-/// The values of metrics, by modality and metric: one for each run.
-type Metrics = BTreeMap<(String, String), Vec<Option<f64>>>;
+/// The values of metrics, by modality, metric and horizon in samples: one for each run.
+type Metrics = BTreeMap<(String, String, i64), Vec<Option<f64>>>;
 
-/// The overall metrics of each row of `runs`.
-fn metrics(runs: &DataFrame, metrics: &DataFrame) -> PolarsResult<Metrics> {
+/// The experiment and the name of a run, and the horizon that its spec asks for, in samples.
+fn own_horizon(record: &RunRecord) -> ((&str, &str), i64) {
+    ((&record.experiment, &record.run), record.spec.window.horizon as i64)
+}
+
+/// Adds the overall metrics of each row of `runs`: those of the next sample, and of the run's own horizon.
+fn add_metrics(
+    found: &mut Metrics,
+    runs: &DataFrame,
+    metrics: &DataFrame,
+    own: &HashMap<(&str, &str), i64>,
+) -> PolarsResult<()> {
     let text = |table: &DataFrame, name: &str| {
         Ok::<_, polars::prelude::PolarsError>(table.column(name)?.str()?.clone())
     };
@@ -176,13 +197,15 @@ fn metrics(runs: &DataFrame, metrics: &DataFrame) -> PolarsResult<Metrics> {
         text(metrics, "modality")?,
         text(metrics, "metric")?,
     ];
-    let values = metrics.column("value")?.f64()?;
-    let mut found = Metrics::new();
+    let (horizons, values) = (metrics.column("horizon")?.i64()?, metrics.column("value")?.f64()?);
     for row in 0..metrics.height() {
         let Some(place) = rows.get(&(experiment.get(row), run.get(row))) else { continue };
         let (Some(modality), Some(metric)) = (modality.get(row), metric.get(row)) else { continue };
-        let column = found.entry((modality.to_owned(), metric.to_owned()));
+        let name = experiment.get(row).zip(run.get(row));
+        let is_own = |horizon: &i64| *horizon == 1 || name.and_then(|name| own.get(&name)) == Some(horizon);
+        let Some(horizon) = horizons.get(row).filter(is_own) else { continue };
+        let column = found.entry((modality.to_owned(), metric.to_owned(), horizon));
         column.or_insert_with(|| vec![None; runs.height()])[*place] = values.get(row);
     }
-    Ok(found)
+    Ok(())
 }

@@ -9,7 +9,7 @@ const MOST_CHOSEN = 8;
 /** The columns that are shown at first, besides the overall metrics. */
 const FIRST = ["experiment", "run", "status", "scenario", "latent", "variant", "seed", "started", "seconds"];
 const MIDDLE_METRICS = ["r2", "smape", "wmape", "relative_error"];
-const MODELS = ["network", "persistence", "training_mean", "ridge"];
+const BASELINES = ["persistence", "training_mean", "ridge"];
 
 /** A request without an answer, or with an error as its answer, which then has a status. */
 class Failure extends Error {
@@ -664,21 +664,22 @@ function metricsTable(runs) {
     columns.push({ name: run.name, values: keys.map((text) => values.get(text) ?? null) });
   }
   if (keys.length === 0) return element("p", {}, "Metrics appear when the run is done.");
-  return element("details", { open: "" }, element("summary", {}, "Metrics on test episodes"), element("div", { class: "scroll" }, plainTable(columns)));
+  const ahead = runs.some((run) => run.horizons.length);
+  return element("details", { open: "" }, element("summary", {}, `Metrics on test episodes${ahead ? ", of the next sample" : ""}`), element("div", { class: "scroll" }, plainTable(columns)));
 }
 
 /** The lines of a chart, given the rows of each run: those of all models of a single run, or of several networks. */
 function linesOf(runs, rows, point) {
   return rows.flatMap((own, place) => {
     // With several runs there would be too many lines for baselines.
-    const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || model === "network");
+    const models = distinct(own.map((row) => row.model)).filter((model) => runs.length === 1 || !BASELINES.includes(model));
     return models.map((model) => ({
       name: runs.length === 1 ? model : runs[place].name.split("/")[1],
-      color: COLORS[runs.length === 1 ? MODELS.indexOf(model) : place],
-      dash: model === "network" ? undefined : "dotted",
+      color: COLORS[runs.length === 1 ? BASELINES.indexOf(model) + 1 : place],
+      dash: BASELINES.includes(model) ? "dotted" : undefined,
       line: true,
       kind: "disc",
-      behind: model !== "network",
+      behind: BASELINES.includes(model),
       points: own.filter((row) => row.model === model).map(point),
     }));
   });
