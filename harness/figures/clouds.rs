@@ -90,9 +90,11 @@ pub fn render(runs: &Runs) -> Result<Drawing, FigureError> {
         row.render(&mut page, 10.0 + ROW * place as f64);
     }
     let over = runs.replicates().map(|over| format!(", mean over {over} ± 95 % interval"));
+    let further = runs.all.iter().any(|run| run.record.spec.window.horizon > 1);
+    let what = if further { "predictions of the next sample" } else { "test samples of one network" };
     let mut lines = vec![
         format!("R²: of all test samples{}; gray line: perfect prediction", over.unwrap_or_default()),
-        format!("points: at most {POINTS} test samples of one network, evenly chosen"),
+        format!("points: at most {POINTS} {what}, evenly chosen"),
     ];
     if rows.iter().any(|row| row.latents.len() > PANELS) {
         lines.push(format!("only the {PANELS} smallest latent sizes are drawn; the CSV file has all"));

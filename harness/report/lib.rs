@@ -191,10 +191,16 @@ impl Asked {
             Analysis::new(registry, &selection)?
         } else {
             Analysis::finished(registry, &self.experiments, &self.settings)?;
-            // The charts and figures are about networks, except claims that name the variant.
+            // The charts and figures are about networks, except claims that name the variant, and experiments that
+            // have none.
             let of_claims = claims::selection(claims, &self.settings, quick);
-            let is_of_networks =
-                |name: &&String| !of_claims.experiments.contains(name) || of_claims.trained.contains(name);
+            let records = registry.records();
+            let has_network =
+                |name: &str| records.iter().any(|run| run.experiment == name && run.spec.trained().is_some());
+            let is_of_networks = |name: &&String| {
+                has_network(name.as_str())
+                    && (!of_claims.experiments.contains(name) || of_claims.trained.contains(name))
+            };
             let trained = self.experiments.iter().filter(is_of_networks).cloned().collect();
             let (experiments, settings) = (self.experiments.clone(), self.settings.clone());
             Analysis::new(registry, &Selection { experiments, settings, trained, ..Selection::default() })?
@@ -349,8 +355,14 @@ pub fn page(
         true => Default::default(),
         false => (course::courses(&source, &subjects, asked)?, images::images(&source, &subjects, asked)?),
     };
-    let means = means::tables(&analysis, asked)?;
-    let horizon = horizon::curves(&analysis, asked)?;
+    // Tables and curves tell models of other programs from networks.
+    let of_all_models = match asked.experiments.is_empty() {
+        true => None,
+        false => Some(Analysis::finished(registry, &asked.experiments, &asked.settings)?),
+    };
+    let of_all_models = of_all_models.as_ref().unwrap_or(&analysis);
+    let means = means::tables(of_all_models, asked)?;
+    let horizon = horizon::curves(of_all_models, asked)?;
     let training = training::curves(registry, asked)?;
     let data = Data { clips: frames, joints, regression, course, horizon, training };
 

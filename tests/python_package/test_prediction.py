@@ -213,6 +213,16 @@ def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
     assert own["seeds"].to_list() == [3] * own.height and own["low"].is_not_null().all()
     plot: dict[str, Any] = {"x": "variant", "y": "r2", "by": "modality", "where": {"window.horizon": 5}}
     harness.plot("smoke", **plot, output=tmp_path / "r2.png", results=copy)
+    # Further ahead, by the name of the model.
+    harness.plot("smoke", **plot, horizon=5, models="noisy", output=tmp_path / "r2.csv", results=copy)
+    drawn = polars.read_csv(tmp_path / "r2.csv")
+    ahead = harness.compare("smoke", where=plot["where"], horizon=(1, 5), results=copy).filter(metric="r2")
+    assert set(ahead["horizon"]) == {1, 5}
+    wanted = ahead.filter(model="noisy", horizon=5).sort("modality", "direction")
+    assert drawn.sort("modality", "direction")["mean"].to_list() == pytest.approx(wanted["mean"].to_list())
+    for call in (harness.compare, lambda *names, **asked: harness.plot(*names, **plot, **asked)):
+        with pytest.raises(ValueError, match="no run predicts 3 samples ahead; the horizons of the runs are 1, 2, 5"):
+            call("smoke", horizon=3, results=copy)
     page = harness.report("smoke", output=tmp_path / "report.html", results=copy, progress=False)
     assert "model=noisy" in page.read_text()
 
