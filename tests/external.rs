@@ -146,19 +146,15 @@ fn published_rows_of_a_model_of_another_program_have_its_name() {
             "select architecture, model, trained_here, count(*) > 0 as found from {table} where experiment = 'memory'
              and scenario = 'empty' group by all order by all"
         );
-        let own = |architecture: &str, model: &str, trained: bool| {
-            format!("{architecture},{model},{trained},true\n")
+        let rows = |architecture: &str, own: &str| {
+            let mut models = ["persistence", "ridge", "training_mean", own];
+            models.sort_unstable();
+            models.map(|model| format!("{architecture},{model},{},true\n", model == "network")).concat()
         };
-        let baselines = |architecture: &str| {
-            ["persistence", "ridge", "training_mean"].map(|model| own(architecture, model, false)).concat()
-        };
-        let ours = "multi_to_multi";
-        let expected = own(ours, "network", true) + &baselines(ours);
-        let simulator = baselines("simulator").replace("simulator,training_mean,false,true\n", "");
-        let simulator =
-            simulator + &own("simulator", "simulator", false) + "simulator,training_mean,false,true\n";
+        let [multi, single] = ["multi_to_multi", "single_to_multi"].map(|preset| rows(preset, "network"));
+        let simulator = rows("simulator", "simulator");
         let found = succeed(reference, &["query", &sql, "--format", "csv"]);
-        assert_eq!(found, format!("architecture,model,trained_here,found\n{expected}{simulator}"));
+        assert_eq!(found, format!("architecture,model,trained_here,found\n{multi}{simulator}{single}"));
     }
     // A condition and a mean see the same names.
     let sql = "select max(value) as best from all_metrics where experiment = 'memory' and model = 'network'

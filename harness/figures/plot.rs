@@ -156,7 +156,7 @@ impl Plot {
         let is_one = !self.distinguishes(Key::Horizon) && !self.is_over_horizons();
         let ahead = |horizon| match analysis.sample_rate_hz() {
             Some(rate) => {
-                format!("predictions {horizon} samples ({} s) ahead", rounded(horizon as f64 / rate))
+                format!("predictions {horizon} samples ({} s) ahead", horizon as f64 / rate)
             }
             None => format!("predictions {horizon} samples ahead"),
         };
