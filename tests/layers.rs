@@ -1,7 +1,7 @@
 //! The table of layers in ARCHITECTURE.md, compared with cargo's dependencies of the crates.
 
 use serde_json::Value;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 use std::sync::LazyLock;

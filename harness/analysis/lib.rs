@@ -162,7 +162,8 @@ fn numbers(all: &BTreeSet<usize>) -> String {
 /// Says which experiments have finished runs. If `wanted` is the path of a spec, its experiment may be one of them.
 fn finished(wanted: &str, there: &[String]) -> String {
     if there.is_empty() {
-        return "no experiment in this folder has any; `harness ls` says which runs failed or are running".to_owned();
+        return "no experiment in this folder has any; `harness ls` says which runs failed or are running"
+            .to_owned();
     }
     let names = there.join(", ");
     let name = wanted.strip_suffix(".yaml").and_then(|path| path.rsplit('/').next());

@@ -5,7 +5,6 @@ use crate::errors::Raise;
 use crate::work::detached;
 use harness::experiment::{self, Values, describe};
 use harness::files;
-use harness::registry::Registry;
 use harness::spec::{IMAGE_CHANNELS, Layout, Modality, Task};
 use pyo3::exceptions::{PyKeyError, PyOSError, PyValueError};
 use pyo3::prelude::*;
