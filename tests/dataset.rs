@@ -105,7 +105,7 @@ fn episodes_that_lack_a_column_are_collected_again() {
     };
     let earlier = Dataset::new(collected.root.path(), collected.scene.world(), model, &short());
     assert_eq!(earlier.name(), collected.dataset.name());
-    earlier.describe().unwrap();
+    earlier.describe(|| None).unwrap();
     let mut episode = Episode::new(layout.clone(), 1, now.samples);
     for definition in &layout.modalities {
         let place = layout.position(definition.name).unwrap();
