@@ -769,7 +769,7 @@ fn bad_questions_and_names_are_refused() {
         ),
         (&["show", "emptz-z4"], "no run matches 'emptz-z4', the nearest is 'empty-z4-seed0-"),
         (&["show", "nothing/at-all"], "no run matches 'nothing/at-all'; `"),
-        (&["ls", "smok"], "no run of 'smok' has started; `"),
+        (&["ls", "smok"], "no run of 'smok' has started; did you mean 'smoke'? `"),
         (&["show", ""], "'' matches several runs: smoke/cluttered-z4-seed0-"),
         (
             &["render", "empty", "--output", "a.png", "--width", "0"],

@@ -733,8 +733,8 @@ fn what_does_not_change_in_the_test_samples_is_named() {
                 simulation: {episodes: 4, actuations_per_episode: 2}\ntraining: {epochs: 1, batch_size: 16}\n";
     std::fs::write(path("spec.yaml"), spec).unwrap();
     let is = "contact_force is 0 in all test samples, so its r2 ";
-    let collected = plain(&succeed(&results, &["collect", &path("spec.yaml")]));
-    assert!(collected.contains(is), "{collected}");
+    let collected = finish(&mut harness(&results, &["collect", &path("spec.yaml")]));
+    assert!(collected.code == 0 && plain(&collected.stderr).contains(is), "{}", collected.stderr);
     let run = finish(&mut harness(&results, &["run", &path("spec.yaml")]));
     assert!(run.code == 0 && plain(&run.stderr).contains(is), "{}", run.stderr);
     assert!(plain(&run.stdout).contains("so its r2 and wmape are not defined"), "{}", run.stdout);
@@ -796,7 +796,11 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare", SMOKE],
             "error: 'experiments/smoke.yaml' has no finished runs; did you mean 'smoke'? Those that have: smoke\n",
         ),
-        (&RESULTS, &["compare", "--metrics", "r3"], "error: there is no metric 'r3'; the metrics are smape,"),
+        (
+            &RESULTS,
+            &["compare", "--metrics", "r3"],
+            "error: there is no metric 'r3'; did you mean 'r2'? the metrics are smape,",
+        ),
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],

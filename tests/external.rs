@@ -191,11 +191,13 @@ fn judge<'a>(file: &'a Path, more: &[&'a str]) -> Vec<&'a str> {
     [&["judge", SMOKE, file.to_str().unwrap()], &AHEAD[..], more].concat()
 }
 
-/// All metrics of a run of the smoke experiment, as text.
+/// All metrics of the predictions of a run of the smoke experiment, as text. A network also has those of its latent
+/// state.
 fn metrics(results: &Path, architecture: &str) -> String {
     let sql = format!(
         "select task, case when model = '{architecture}' then 'network' else model end as model, modality, direction,
-         index, metric, value, unit, horizon, given from all_metrics where scenario = 'empty' and architecture = '{architecture}' order by all"
+         index, metric, value, unit, horizon, given from all_metrics
+         where scenario = 'empty' and architecture = '{architecture}' and modality <> 'latent' order by all"
     );
     succeed(results, &["query", &sql, "--format", "csv"])
 }

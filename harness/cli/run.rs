@@ -238,7 +238,7 @@ impl Collect {
                         there(&dataset),
                     ));
                     if episodes > 0 && dataset.missing().is_empty() {
-                        constant_outputs(&experiment, &dataset)?.iter().for_each(|note| print_text(note));
+                        constant_outputs(&experiment, &dataset)?.iter().for_each(|note| eprintln!("{note}"));
                     }
                 }
                 Err(error) if error.is_cancelled() => return Err(error.into()),
