@@ -41,7 +41,8 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     if horizons.len() < 2 {
         return Err(FigureError::OneHorizon { experiment: experiment.to_owned() });
     }
-    let there: BTreeSet<String> = all.iter().map(|mean| mean.of.predicted()).collect();
+    let predicted = all.iter().filter(|mean| mean.of.modality != Modality::LATENT);
+    let there: BTreeSet<String> = predicted.map(|mean| mean.of.predicted()).collect();
     let force = Modality::CONTACT_FORCE.name();
     let usual = there.iter().find(|name| *name == force).or(there.first()).map_or(force, String::as_str);
     let modality = source.modality.as_deref().unwrap_or(usual);
