@@ -107,13 +107,12 @@ fn write_study(registry: &Registry, name: &str, quick: bool, random: &mut ChaCha
 
 fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut ChaCha8Rng) {
     // Sometimes the models have changed, so that the datasets are different.
-    let model = if chance(random, 0.05) { "b" } else { "a" };
+    let model = if chance(random, 0.1) { "b" } else { "a" };
     for spec in experiment.runs() {
         if chance(random, 0.05) {
             continue;
         }
-        let episodes = spec.simulation.as_ref().unwrap().episodes;
-        let folder = registry.run(name, &spec, &format!("{}-{model}{episodes}", spec.scenario));
+        let folder = registry.run(name, &spec, &format!("{}-{model}", spec.scenario));
         let run = registry.claim(&folder).unwrap().unwrap();
         let record = run.begin(&spec, &Layout::finger(), &Provenance::default()).unwrap();
         match random.random_range(0..40) {

@@ -80,6 +80,21 @@ RECORDED = [Run(folder, record) for folder in FOLDERS if (record := record_of(fo
 DONE = [run for run in RECORDED if run.record["status"] == "done"]
 
 
+def counting(runs):
+    """The runs on one version of each world: of the datasets with the same settings, that of the latest start."""
+    latest = {}
+
+    def place(run):
+        return run.scenario, json.dumps({**run.spec["simulation"], "episodes": None}, sort_keys=True)
+
+    for run in sorted(runs, key=lambda run: (run.record["started"], run.record["run"])):
+        latest[place(run)] = run.record["dataset"]
+    return [run for run in runs if latest[place(run)] == run.record["dataset"]]
+
+
+COUNTING = counting(DONE)
+
+
 def table(runs, name):
     # All runs on a dataset have the same forces. Commands read those of one of them.
     intact = [run for run in runs if name != "forces" or not run.is_damaged(name)]
@@ -175,18 +190,18 @@ def value_of(run, key):
 
 
 def check_compare():
-    if refused("compare", DONE, ["metrics"]):
+    if refused("compare", COUNTING, ["metrics"]):
         return
     answer = COMMANDS["compare"]
-    if not DONE:
+    if not COUNTING:
         check(answer["code"] == 2 and "no finished runs" in answer["stderr"], "compare of nothing:", answer)
         return
     check(answer["code"] == 0, "compare failed:", answer)
-    whole = table(DONE, "metrics").filter(
+    whole = table(COUNTING, "metrics").filter(
         pl.col("index").is_null() & pl.col("direction").is_null() & pl.col("value").is_not_null(),
         pl.col("metric").is_in(["smape", "wmape", "r2", "relative_error"]),
     )
-    by_run = {(run.experiment, run.record["run"]): run for run in DONE}
+    by_run = {(run.experiment, run.record["run"]): run for run in COUNTING}
     groups = collections.defaultdict(dict)
     for row in whole.iter_rows(named=True):
         run = by_run[row["experiment"], row["run"]]
@@ -205,7 +220,7 @@ def check_compare():
         wanted = [part.split("=", 1) for part in re.split(r", (?=[a-z_.]+=)", row["settings"] or "") if part]
         runs = [
             run
-            for run in DONE
+            for run in COUNTING
             if run.experiment == row["experiment"]
             and run.scenario == row["scenario"]
             and (row["latent"] is None or run.latent == row["latent"])
@@ -246,7 +261,7 @@ def check_claims(quick):
     command = "claims" + ending
     claims = json.loads((ANSWERS / "claims.json").read_text())
     names = {name for claim in claims for name in claim["experiments"]}
-    of = {name: [run for run in DONE if run.experiment == name + ending] for name in names}
+    of = {name: [run for run in COUNTING if run.experiment == name + ending] for name in names}
     usable = [claim for claim in claims if all(is_uniform(of[name]) for name in claim["experiments"])]
     for claim in usable:
         queries = claim["sql"] + (claim["required_sql"] or "")
@@ -347,7 +362,7 @@ def drawn(figure, quick, studies, tables, scenario=None):
     """The runs that a figure shows, by study; None where it must not be drawn, which is checked."""
     ending = "-quick" if quick else ""
     command = f"{figure}{ending}"
-    of = {name: [run for run in DONE if run.experiment == name + ending] for name in studies}
+    of = {name: [run for run in COUNTING if run.experiment == name + ending] for name in studies}
     answer = COMMANDS[command]
     for name, runs in of.items():
         if not runs:
@@ -464,7 +479,7 @@ def check_frames(quick):
 def check_forces(quick):
     # Of the first study whose runs can be put together.
     studies = ["single_to_multi", "multi_to_multi"]
-    runs = {name: [run for run in DONE if run.experiment == name + ("-quick" if quick else "")] for name in studies}
+    runs = {name: [run for run in COUNTING if run.experiment == name + ("-quick" if quick else "")] for name in studies}
     study = next((name for name in studies if runs[name] and is_uniform(runs[name])), studies[0])
     of = drawn("forces_dataset", quick, [study], ["forces"])
     if of is None:
