@@ -12,6 +12,7 @@ mod compare;
 mod cycles;
 mod external;
 mod figures;
+mod first_worlds;
 mod foreign;
 mod formats;
 mod horizons;

@@ -826,7 +826,7 @@ fn models_that_cannot_be_used_are_named() {
     assert!(run(2).starts_with(&expected), "{}", run(2));
     folder.write("own.xml", "<mujoco>\n<worldbody><geom tpye='box'/></worldbody></mujoco>");
     let message = run(2);
-    assert!(message.starts_with(&format!("{path} does not compile: ")), "{message}");
+    assert!(message.starts_with(&format!("{path} does not compile with MuJoCo 3.17.0: ")), "{message}");
     assert!(message.contains("unrecognized attribute: 'tpye'") && message.contains("line 2"), "{message}");
     assert!(!results.exists());
     let gone = finish(&mut harness(&results, &["run", SMOKE, "--models", "somewhere"]));

@@ -897,7 +897,7 @@ fn figures_of_an_ablation_show_the_data_or_one_variant() {
         assert_eq!(svg.contains(remark), is_of_one, "{}", figure.name());
     }
     // The inputs are beside each other, in the order of the spec.
-    let names = ["joints", "camera_0 + joints", "camera_0"];
+    let names = ["joints", "joints + side", "side"];
     let drawn = svg(Figure::PredictionResults);
     let places = names.map(|name| drawn.find(&format!("aria-label=\"{name}\"")).unwrap());
     assert!(places.is_sorted(), "{places:?}");

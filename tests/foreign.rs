@@ -99,7 +99,7 @@ impl Robot {
 /// Runge-Kutta of the 4th order, and a cylinder.
 const ACROBOT: Robot = Robot {
     model: (SUITE, "dm_control/suite/acrobot.xml"),
-    input: "[joints, camera_0]",
+    input: "[joints, fixed]",
     output: "[joint_velocities]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.2,
@@ -140,7 +140,7 @@ const FISH: Robot = Robot {
 /// Slides, tendons, an equality constraint and elliptic friction cones.
 const MANIPULATOR: Robot = Robot {
     model: (SUITE, "dm_control/suite/manipulator.xml"),
-    input: "[joints, camera_1]",
+    input: "[joints, hand]",
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
@@ -190,7 +190,7 @@ const HUMANOID: Robot = Robot {
 /// Skins, 162 meshes and 38 filtered actuators.
 const DOG: Robot = Robot {
     model: (SUITE, "dm_control/suite/dog.xml"),
-    input: "[joints, camera_1]",
+    input: "[joints, head]",
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
@@ -262,7 +262,7 @@ const HEIGHT_FIELD: Robot = Robot {
 /// An elastic cable of 10 links, computed by a plugin.
 const CABLE: Robot = Robot {
     model: (FIXTURES, "cable.xml"),
-    input: "[joints, camera_0]",
+    input: "[joints, side]",
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,

@@ -571,8 +571,8 @@ fn pendulum_page(name: &str, settings: &str) -> (PathBuf, String) {
     fs::write(path("pendulum.xml"), PENDULUM).unwrap();
     succeed(&results, &["world", "new", &path("pendulum.xml")]);
     let spec = format!(
-        "name: {name}\nscenarios: [pendulum.yaml]\ninput: [joints, camera_0]\n\
-         output: [joints, contact_force, camera_0_difference]\nseeds: [0, 1]\n{settings}\n\
+        "name: {name}\nscenarios: [pendulum.yaml]\ninput: [joints, side]\n\
+         output: [joints, contact_force, side_difference]\nseeds: [0, 1]\n{settings}\n\
          network: {{preset: multi_to_multi, hidden: [8], channels: [2]}}\n\
          simulation: {{episodes: 4, actuations_per_episode: 2}}\ntasks: [prediction]\n\
          training: {{epochs: 2, batch_size: 16}}\n"
@@ -589,7 +589,7 @@ pub static PENDULUM_PAGE: LazyLock<(PathBuf, String)> =
 
 /// Runs of three inputs in the world with a pendulum, and the page of all results.
 pub static ABLATION_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
-    pendulum_page("ablation", "latent: 2\nvary: {input: [[joints], [joints, camera_0], [camera_0]]}")
+    pendulum_page("ablation", "latent: 2\nvary: {input: [[joints], [joints, side], [side]]}")
 });
 
 /// Runs of the rope of docs/which-sense-matters.md with little data, and the page of all results.
@@ -612,11 +612,8 @@ pub static ROPE_PAGE: LazyLock<(PathBuf, String)> = LazyLock::new(|| {
 });
 
 /// The inputs of [`ABLATION_PAGE`] in the order of the spec, as variants and as their short names.
-const INPUTS: [(&str, &str); 3] = [
-    ("input=joints", "joints"),
-    ("input=joints+camera_0", "camera_0 + joints"),
-    ("input=camera_0", "camera_0"),
-];
+const INPUTS: [(&str, &str); 3] =
+    [("input=joints", "joints"), ("input=joints+side", "joints + side"), ("input=side", "side")];
 
 #[test]
 fn an_ablation_has_one_table_of_metrics_as_compare() {
@@ -720,7 +717,7 @@ fn a_page_about_another_robot_has_every_part_and_no_finger() {
     for row in [
         "<th scope=\"row\">joints</th><td>2 values</td><td class=\"elements\">slide in m; swing in rad</td>\
          <td>input, output</td>",
-        "<th scope=\"row\">camera_0</th><td>image of 64 × 64 pixels</td>",
+        "<th scope=\"row\">side</th><td>image of 64 × 64 pixels</td>",
         "<th scope=\"row\">setpoint</th><td>1 value</td><td class=\"elements\">push</td><td>action</td>",
     ] {
         assert!(modalities.contains(row), "{row}: {modalities}");

@@ -523,9 +523,10 @@ fn a_first_world_file_can_be_used_for_any_model() {
         text.contains("[-0.3, 0.3]") && text.contains("seconds: 0.99\n") && said.contains("x_0_ (m)"),
         "{text}{said}"
     );
-    for name in ["Hand-2.xml", "empty.xml"] {
+    for (name, other) in [("Hand-2.xml", "hand_2.yaml"), ("empty.xml", "my_empty.yaml")] {
         let refused = finish(&mut harness(folder.path(), &["world", "new", &path(name)]));
-        assert!(refused.code == 2 && refused.stderr.contains("--output my_robot.yaml"), "{}", refused.stderr);
+        let expected = format!("--output {}", path(other));
+        assert!(refused.code == 2 && refused.stderr.contains(&expected), "{}", refused.stderr);
     }
     succeed(folder.path(), &["world", "new", &path("Hand-2.xml"), "--output", &path("second.yaml")]);
     succeed(folder.path(), &["world", "check", &path("second.yaml")]);
@@ -545,7 +546,9 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
         "\n  #other_joint_velocities: {joint_velocities: [\"x0\"]}\n",
         "\n  #body_positions: {body_positions: [\"b1\", \"b2\"]}\n",
         "\n  #body_orientations: {body_orientations: [\"thumb\", \"b1\", \"b2\"]}\n",
-        "\n  #other_contact_force: {normal_force: [\"g3\", \"b1\", \"b2\"]}\n",
+        "\n  links: {body_positions: [\"thumb\"]}\n",
+        "\n  contact_force: {normal_force: [\"g1\", \"g2\", \"g3\"]}\n",
+        "\n  #other_contact_force: {normal_force: [\"b1\", \"b2\"]}\n",
         "{actuator: \"m\", range: [-0.3, 0.3]}\n",
         "{actuator: \"M\", range: [-1.0, 1.0]}   # a guess: the model sets no ctrlrange for this actuator\n",
     ] {
@@ -553,9 +556,9 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
     }
     let check = || succeed(folder.path(), &["world", "check", &path("hand.yaml")]);
     let unrecorded = [
-        "note: no modality records the ball joint of body 'thumb', the free joint of body 'b1', the free \
-         joint of body 'b2'; body_positions and body_orientations can",
-        "note: no modality records the forces on the geoms 'g3', 'b1', 'b2'",
+        "note: no modality records the free joint of body 'b1', the free joint of body 'b2'; body_positions and \
+         body_orientations can",
+        "note: no modality records the forces on the geoms 'b1', 'b2'",
     ];
     let said = check();
     assert!(unrecorded.iter().all(|note| said.contains(note)), "{said}");
@@ -571,7 +574,7 @@ fn a_first_world_file_says_what_it_leaves_out_and_guesses() {
     assert!(
         said.contains("12 values: thumb_w")
             && said.contains("4 values: x0_qw (1)")
-            && said.contains("3 values: g3 (N), b1 (N), b2 (N)"),
+            && said.contains("2 values: b1 (N), b2 (N)"),
         "{said}"
     );
     assert!(!unrecorded.iter().any(|note| said.contains(note)), "{said}");
@@ -608,7 +611,7 @@ fn a_check_notes_hidden_geoms_slow_rendering_and_rk4() {
     let quality = "<visual><quality shadowsize=\"0\" offsamples=\"0\"/></visual>";
     for expected in [
         "note: the model's integrator is RK4",
-        "note: the camera of 'camera_0' is inside of 'skull', or nearer than the model's near plane",
+        "note: the camera of 'eye' is inside of 'skull', or nearer than the model's near plane",
         "note: rendering a sample takes ",
         quality,
         " ms for the images of a sample",
@@ -667,9 +670,12 @@ fn a_check_writes_a_picture_of_each_camera() {
     succeed(folder.path(), &["world", "new", &path("two.xml")]);
     let said = succeed(folder.path(), &["world", "check", &path("two.yaml"), "--render", &path("seen")]);
     let mut written = Vec::new();
-    for (name, size) in
-        [("camera_rig_side", (640, 480)), ("camera_camera_1", (640, 480)), ("as_seen_camera_0", (64, 64))]
-    {
+    for (name, size) in [
+        ("camera_rig_side", (640, 480)),
+        ("camera_camera_1", (640, 480)),
+        ("as_seen_rig_side", (64, 64)),
+        ("as_seen_camera_1", (64, 64)),
+    ] {
         let file = path(&format!("seen/{name}.png"));
         assert!(said.contains(&file), "{file}: {said}");
         let picture = image::open(&file).unwrap().into_rgb8();
@@ -677,7 +683,7 @@ fn a_check_writes_a_picture_of_each_camera() {
         written.push(picture);
     }
     assert!(written[0] != written[1], "the cameras stand at different places");
-    assert_eq!(fs::read_dir(path("seen")).unwrap().count(), 3);
+    assert_eq!(fs::read_dir(path("seen")).unwrap().count(), 4);
 
     // `render` draws the same camera, and what a network gets.
     let arguments =
@@ -778,8 +784,7 @@ fn a_model_is_refused_with_the_command_for_its_world_file() {
     let (model, scenarios) = (path.to_str().unwrap(), format!("scenarios=[{}]", path.display()));
     for arguments in [&["world", "check", model][..], &["run", model], &["validate", "smoke", &scenarios]] {
         let answer = finish(&mut harness(folder.path(), arguments));
-        let expected =
-            format!("{model}: is an MJCF model; `harness world new MODEL.xml` writes a world file for it");
+        let expected = format!("{model}: is a model; `harness world new {model}` writes a world file for it");
         assert!(answer.code == 2 && answer.stderr.contains(&expected), "{arguments:?}: {}", answer.stderr);
     }
 }
@@ -844,8 +849,7 @@ fn what_a_model_includes_and_its_meshes_decide_the_dataset() {
     succeed(&results, &["world", "new", model.to_str().unwrap()]);
     let world = folder.path().join("pendulum.yaml");
     let said = succeed(&results, &["world", "check", world.to_str().unwrap()]);
-    for expected in ["joints ", "swing (rad)", "jointvel", "camera_0_difference", "the action: 1 value: push"]
-    {
+    for expected in ["joints ", "swing (rad)", "jointvel", "side_difference", "the action: 1 value: push"] {
         assert!(said.contains(expected), "{expected}: {said}");
     }
     let again = finish(&mut harness(&results, &["world", "new", model.to_str().unwrap()]));
@@ -1027,12 +1031,8 @@ fn dm_controls_own_finger_goes_through_every_command() {
     succeed(&results, &["world", "new", model.to_str().unwrap(), "--output", world.to_str().unwrap()]);
     let said = succeed(&results, &["world", "check", world.to_str().unwrap()]);
     assert!(said.contains("2 values: touchtop (N), touchbottom (N)"), "{said}");
-    let spec = write_spec(
-        folder.path(),
-        "suite_finger.yaml",
-        "[joints, touch, camera_0]",
-        "[joint_velocities, touch]",
-    );
+    let spec =
+        write_spec(folder.path(), "suite_finger.yaml", "[joints, touch, cam0]", "[joint_velocities, touch]");
     go_through(&results, folder.path(), &spec, &world, "touch");
 }
 

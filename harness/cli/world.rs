@@ -7,7 +7,8 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
 use harness::numbers::counted;
-use harness::simulation::{Scene, SceneRenderer, draft_world, notes};
+use harness::registry::quoted;
+use harness::simulation::{Addable, Scene, SceneRenderer, SimulationError, actuate, draft_world, notes};
 use harness::spec::{Definition, Modality, World, is_name, world_schema};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -35,14 +36,18 @@ enum Action {
         #[arg(long)]
         all: bool,
     },
-    /// Write a first world file for an MJCF model
+    /// Write a first world file for a model
     New {
-        /// The MJCF file
+        /// The MJCF or URDF file
         #[arg(value_name = "MODEL")]
         model: PathBuf,
         /// The world file to write. It must not exist [default: the model's path, with the ending .yaml]
         #[arg(long, short, value_name = "FILE")]
         output: Option<PathBuf>,
+        /// For a model without actuators: write a copy of it next to the world file, with a position servo on each
+        /// hinge and slide or, if it has none, a mocap body that touches what moves
+        #[arg(long)]
+        actuate: bool,
     },
     /// Print the JSON schema of world files, for editors
     Schema,
@@ -56,10 +61,22 @@ pub enum WorldError {
     Exists(PathBuf),
     /// The file's name can't be that of a world.
     #[error(
-        "a world is named after its file, and can't be named '{0}'; write it to a file with another name, of \
-         lower-case letters, digits and '_', a letter first: --output my_robot.yaml"
+        "a world is named after its file, and '{name}' {why}; write it to a file with another name: `harness {command}`"
     )]
-    Name(String),
+    Name {
+        /// The name.
+        name: String,
+        /// Why no world has this name.
+        why: &'static str,
+        /// The arguments with another name.
+        command: String,
+    },
+    /// The model has neither an actuator nor a mocap body.
+    #[error("{0}; `harness {2}` writes a copy of the model with {1}, and the world file for it")]
+    NoAction(SimulationError, String, String),
+    /// The same, and nothing in it moves.
+    #[error("{0}, but nothing in this model moves; if other models include this file, name one of them")]
+    NothingMoves(SimulationError),
 }
 
 impl Command {
@@ -85,28 +102,98 @@ impl Command {
                     eprintln!("warning: {warning}");
                 }
             }
-            Action::New { model, output } => {
-                let path = output.unwrap_or_else(|| model.with_extension("yaml"));
-                if path.exists() {
-                    return Err(WorldError::Exists(path).into());
-                }
-                let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                let is_built_in = World::built_in().iter().any(|world| world.scenario().name() == name);
-                if !is_name(&name) || is_built_in {
-                    return Err(WorldError::Name(name.into_owned()).into());
-                }
-                // A world file in the model's folder names the model without a folder, others by its absolute path.
-                let named = match path.parent() == model.parent() {
-                    true => model.file_name().unwrap_or_default().into(),
-                    false => std::fs::canonicalize(&model).unwrap_or_else(|_| model.clone()),
-                };
-                write_bytes(&path, draft_world(&model, &named.to_string_lossy())?.as_bytes())?;
-                println!("{}", shown(&path));
-            }
+            Action::New { model, output, actuate } => write_world(&model, output, actuate)?,
             Action::Schema => println!("{}", serde_json::to_string_pretty(&world_schema())?),
         }
         Ok(ExitCode::from(DONE))
     }
+}
+
+/// Writes a first world file for a model and, if `actuate` is set, a copy of the model with what its action moves.
+fn write_world(model: &Path, output: Option<PathBuf>, actuates: bool) -> Result<()> {
+    let default = || {
+        let mut name = model.file_stem().unwrap_or_default().to_owned();
+        name.push(if actuates { "_actuated.yaml" } else { ".yaml" });
+        model.with_file_name(name)
+    };
+    let mut path = output.clone().unwrap_or_else(default);
+    if path.extension().is_none() {
+        path.set_extension("yaml");
+    }
+    check_name(model, &path, actuates)?;
+    let copy = actuates.then(|| path.with_extension("xml"));
+    if let Some(existing) = copy.iter().chain([&path]).find(|path| path.exists()) {
+        return Err(WorldError::Exists(existing.clone()).into());
+    }
+    let folder = |path: &Path| std::fs::canonicalize(path.parent().unwrap_or(Path::new("")).join(".")).ok();
+    let is_elsewhere = folder(&path) != folder(model);
+    // A world file in the model's folder names the model without a folder, others by its absolute path.
+    let absolute = || std::fs::canonicalize(model).unwrap_or_else(|_| model.to_owned());
+    let named = match &copy {
+        None if is_elsewhere => absolute(),
+        copy => copy.as_deref().unwrap_or(model).file_name().unwrap_or_default().into(),
+    };
+    let written = (|| -> Result<()> {
+        let actuated = copy.as_ref().map(|_| actuate(model, is_elsewhere)).transpose()?;
+        if let Some((copy, actuated)) = copy.as_ref().zip(actuated.as_ref()) {
+            write_bytes(copy, actuated.mjcf.as_bytes())?;
+        }
+        let probe = actuated.as_ref().and_then(|actuated| actuated.probe.as_ref());
+        let text = draft_world(copy.as_deref().unwrap_or(model), &named.to_string_lossy(), probe)?;
+        Ok(write_bytes(&path, text.as_bytes())?)
+    })();
+    if let Err(error) = written {
+        copy.iter().for_each(|copy| drop(std::fs::remove_file(copy)));
+        return Err(advised(error, model, output.as_deref()));
+    }
+    copy.iter().chain([&path]).for_each(|path| println!("{}", shown(path)));
+    Ok(())
+}
+
+/// Adds to the error of a model without actuators what can be done.
+fn advised(error: anyhow::Error, model: &Path, output: Option<&Path>) -> anyhow::Error {
+    let error = match error.downcast::<SimulationError>() {
+        Ok(error) => error,
+        Err(error) => return error,
+    };
+    let SimulationError::NoAction { adds, .. } = error else { return error.into() };
+    let adds = match adds {
+        Addable::Nothing => return WorldError::NothingMoves(error).into(),
+        Addable::Servos(1) => "a position servo on its joint".to_owned(),
+        Addable::Servos(count) => format!("a position servo on each of its {count} hinges and slides"),
+        Addable::Probe => "a mocap body that touches what moves".to_owned(),
+    };
+    WorldError::NoAction(error, adds, new_command(model, output, true)).into()
+}
+
+/// Returns the arguments that write a world file.
+fn new_command(model: &Path, output: Option<&Path>, actuates: bool) -> String {
+    let mut words = vec!["world".into(), "new".into(), model.to_string_lossy()];
+    words.extend(actuates.then(|| "--actuate".into()));
+    words.extend(output.into_iter().flat_map(|output| ["--output".into(), output.to_string_lossy()]));
+    quoted(words.iter().map(|word| &**word))
+}
+
+/// Refuses a path whose name can't be that of a world.
+fn check_name(model: &Path, path: &Path, actuates: bool) -> Result<(), WorldError> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let is_built_in = |name: &str| World::built_in().iter().any(|world| world.scenario().name() == name);
+    let why = match is_built_in(&name) {
+        true => "is a built-in world",
+        false if is_name(&name) => return Ok(()),
+        false => "does not have 1 to 64 lower-case letters, digits and '_', a letter first",
+    };
+    let own: String =
+        name.to_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    let candidates = [own.clone(), format!("my_{own}"), "my_robot".into()];
+    let is_free = |name: &String| is_name(name) && !is_built_in(name);
+    let other = candidates.into_iter().find(is_free).unwrap_or_default();
+    let output = path.with_file_name(format!("{other}.yaml"));
+    Err(WorldError::Name {
+        name: name.into_owned(),
+        why,
+        command: new_command(model, Some(&output), actuates),
+    })
 }
 
 fn check(scene: &Scene, all: bool) -> Result<()> {

@@ -1,18 +1,9 @@
 //! Command lines of the harness, as text.
 
 use super::{DEFAULT_ROOT, Registry};
+use harness_shared::quoted;
 use harness_spec::RunSpec;
 use std::path::Path;
-
-/// Joins words with spaces, each quoted for a POSIX shell where needed.
-pub fn quoted<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
-    let quote = |word: &'a str| match shlex::try_quote(word) {
-        Ok(quoted) => quoted.into_owned(),
-        // Only a null byte can't be quoted, and a program's arguments never contain one.
-        Err(_) => word.to_owned(),
-    };
-    words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
-}
 
 impl Registry {
     /// A command line of the harness for this results folder: `harness --results FOLDER` followed by `command`.

@@ -1,10 +1,11 @@
 //! Finds the commands that make a run or dataset again.
 
-use super::command_line::{command_in, command_of, quoted};
+use super::command_line::{command_in, command_of};
 use super::folders::Recorded;
 use super::record::RunRecord;
 use super::{Registry, SPEC};
 use harness_shared::files::folders;
+use harness_shared::quoted;
 use harness_spec::{self as spec, RunSpec};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};

@@ -33,9 +33,9 @@ mod worlds;
 
 pub use claimed::Claimed;
 pub use columns::read_columns;
-pub use command_line::quoted;
 pub use error::RegistryError;
 pub use folders::{Recorded, Remembered};
+pub use harness_shared::quoted;
 pub use live::{LiveEpochs, live_epochs, live_table};
 pub use mark::Mark;
 pub use own_metric::{OwnMetric, OwnValue};

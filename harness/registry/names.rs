@@ -1,10 +1,9 @@
 //! The runs that a user names: by the beginning of a name, or by the path of a folder.
 
-use super::command_line::quoted;
 use super::folders::Recorded;
 use super::{Registry, RegistryError, RunFolder, RunRecord};
 use harness_shared::files::{real, within};
-use harness_shared::nearest;
+use harness_shared::{nearest, quoted};
 use std::path::Path;
 
 impl Registry {

@@ -1,6 +1,5 @@
 //! Checks that every file of the results folder is as it was written, and suggests commands that repair damage.
 
-use super::command_line::quoted;
 use super::commands::{Again, Commands};
 use super::folders::Recorded;
 use super::record::{RunRecord, episodes_used};
@@ -8,7 +7,7 @@ use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use harness_dataset::{Inspection, inspect, is_lock};
 use harness_shared::files::{FolderLock, UNFINISHED, folders, sorted};
 use harness_shared::progress::Progress;
-use harness_shared::seal;
+use harness_shared::{quoted, seal};
 use harness_tables::read_footer;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

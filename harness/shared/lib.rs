@@ -1,5 +1,5 @@
 //! Basics for all other crates: complete files and locked folders, seals, available memory, progress, turns of
-//! processes, numbers as text, a low-discrepancy sequence, and the name that was probably meant.
+//! processes, numbers and command lines as text, a low-discrepancy sequence, and the name that was probably meant.
 
 pub mod files;
 pub mod memory;
@@ -8,8 +8,10 @@ pub mod numbers;
 pub mod progress;
 pub mod seal;
 pub mod shard;
+mod shell;
 mod sobol;
 pub mod turns;
 
 pub use nearest::{meant, nearest};
+pub use shell::quoted;
 pub use sobol::{SOBOL_DIMENSIONS, sobol};

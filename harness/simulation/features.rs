@@ -2,16 +2,10 @@
 
 use super::controls::Control;
 use super::load::can_sleep;
-use super::notes::listed;
-use super::resolve::{Reading, name_of};
+use super::names::{ACTUATOR, FLEX, GEOM, JOINT, ObjectKind, SENSOR, first_few, name_of};
+use super::resolve::Reading;
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
-
-const ACTUATOR: MjtObjBase = MjtObjBase::mjOBJ_ACTUATOR;
-const FLEX: MjtObjBase = MjtObjBase::mjOBJ_FLEX;
-const GEOM: MjtObjBase = MjtObjBase::mjOBJ_GEOM;
-const JOINT: MjtObjBase = MjtObjBase::mjOBJ_JOINT;
-const SENSOR: MjtObjBase = MjtObjBase::mjOBJ_SENSOR;
 
 impl Scene {
     /// Returns the number of the rules by which the model is simulated and recorded; `None` for a model to which the
@@ -65,10 +59,10 @@ pub(super) fn features(scene: &Scene) -> Vec<String> {
     found
 }
 
-fn names(model: &MjModel, kind: MjtObjBase, ids: impl Iterator<Item = usize>) -> Option<String> {
+fn names(model: &MjModel, kind: ObjectKind, ids: impl Iterator<Item = usize>) -> Option<String> {
     let mut names: Vec<String> = ids.map(|id| name_of(model, kind, id)).collect();
     names.dedup();
-    (!names.is_empty()).then(|| listed(&names))
+    (!names.is_empty()).then(|| first_few(&names))
 }
 
 fn is_driven(scene: &Scene, control: Control) -> bool {

@@ -1,5 +1,6 @@
 //! Which joint moves a body, and whether its position is one number.
 
+use super::names::{BODY, name_of};
 use mujoco_rs::prelude::*;
 
 /// Whether a joint is a hinge or a slide, whose position is one number.
@@ -7,9 +8,14 @@ pub(super) fn is_single(model: &MjModel, joint: usize) -> bool {
     [MjtJoint::mjJNT_HINGE, MjtJoint::mjJNT_SLIDE].contains(&model.jnt_type()[joint])
 }
 
+/// Whether a joint is a free joint.
+pub(super) fn is_free(model: &MjModel, joint: usize) -> bool {
+    model.jnt_type()[joint] == MjtJoint::mjJNT_FREE
+}
+
 /// The word for a ball or free joint.
 pub(super) fn word(model: &MjModel, joint: usize) -> &'static str {
-    if model.jnt_type()[joint] == MjtJoint::mjJNT_FREE { "free" } else { "ball" }
+    if is_free(model, joint) { "free" } else { "ball" }
 }
 
 /// Returns the first joint of a body or, if it is rigidly attached to another body, of that one.
@@ -23,17 +29,10 @@ pub(super) fn ball_and_free(model: &MjModel) -> Vec<usize> {
     (0..model.njnt() as usize).filter(|joint| !is_single(model, *joint)).collect()
 }
 
-/// Returns the name of a joint's body; `None` if it has none.
-pub(super) fn body_name(model: &MjModel, joint: usize) -> Option<&str> {
-    let body = model.jnt_bodyid()[joint] as usize;
-    model.id_to_name(MjtObjBase::mjOBJ_BODY, body).filter(|name| !name.is_empty())
-}
-
 /// Describes a ball or free joint, which often has no name, by its body.
 pub(super) fn described(model: &MjModel, joint: usize) -> String {
-    let body =
-        body_name(model, joint).map_or("a body without a name".into(), |name| format!("body '{name}'"));
-    format!("the {} joint of {body}", word(model, joint))
+    let body = name_of(model, BODY, model.jnt_bodyid()[joint] as usize);
+    format!("the {} joint of body {body}", word(model, joint))
 }
 
 /// Whether a geom can touch something and a joint moves it that fulfills `is_wanted`.

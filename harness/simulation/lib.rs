@@ -4,6 +4,7 @@
 //! returns [`Episode`]s. An episode depends only on the spec, the scene and its index. A [`LiveSimulation`] is stepped
 //! by its caller, and a [`Batch`] steps many of them in parallel.
 
+mod actuate;
 mod batch;
 mod camera;
 mod controls;
@@ -18,6 +19,7 @@ mod live;
 mod load;
 mod mjcf;
 mod motion;
+mod names;
 mod noise;
 mod notes;
 mod opengl;
@@ -34,7 +36,9 @@ mod sight;
 mod standing;
 mod timing;
 mod trial;
+mod units;
 
+pub use actuate::{Actuated, Addable, Probe, actuate};
 pub use batch::Batch;
 pub use camera::{Camera, SampleTime, SceneRenderer};
 pub use draft::draft_world;
@@ -77,7 +81,7 @@ pub enum SimulationError {
     World(#[from] SpecError),
 
     /// MuJoCo can't read or compile the model.
-    #[error("{scene} does not compile: {message}")]
+    #[error("{scene} does not compile with MuJoCo {MUJOCO_VERSION}: {message}")]
     Compile {
         /// Where the model came from.
         scene: String,
@@ -103,6 +107,15 @@ pub enum SimulationError {
         scene: String,
         /// What is wrong with the model.
         problem: String,
+    },
+
+    /// The model has nothing that a world's action could move.
+    #[error("{scene} has neither an actuator nor a mocap body, and a world's action needs one of them")]
+    NoAction {
+        /// Where the model came from.
+        scene: String,
+        /// What can be added to it.
+        adds: Addable,
     },
 
     /// A setting of the spec does not suit the scene.

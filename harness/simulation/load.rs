@@ -1,6 +1,7 @@
 //! Compiles MJCF, and passes on the whole of MuJoCo's message if it can't be compiled.
 
 use super::SimulationError;
+use harness_shared::quoted;
 use mujoco_rs::mujoco_c::{mj_deleteModel, mj_loadXML, mjVFS};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::MjVfs;
@@ -9,6 +10,40 @@ use std::path::Path;
 
 /// Room for MuJoCo's longest message, bytes. The bindings have room for its first 99 characters only.
 const MESSAGE_LEN: usize = 4096;
+
+/// The first bytes of archives in the format Zip, such as MuJoCo's `.mjz`.
+const ZIP: &[u8] = b"PK\x03\x04";
+
+/// Reads the file of a model. The error says why it can't be, and what to do.
+pub(super) fn read_model(path: &Path) -> Result<Vec<u8>, String> {
+    if path.is_dir() {
+        return Err("it is a folder; name the MJCF file in it".into());
+    }
+    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
+    let (archive, folder) = (path.to_string_lossy(), path.with_extension(""));
+    let folder = folder.to_string_lossy();
+    if bytes.starts_with(ZIP) {
+        return Err(format!(
+            "it is an archive; unpack it with `{}`, and name the MJCF file in the folder",
+            quoted([
+                "python3",
+                "-m",
+                "zipfile",
+                "-e",
+                &archive,
+                if folder == archive { "model" } else { &folder }
+            ])
+        ));
+    }
+    if bytes.contains(&0) {
+        return Err(
+            "it is no text; a compiled model (.mjb) suits one version of MuJoCo only, so name the MJCF file \
+                    that it was compiled from"
+                .into(),
+        );
+    }
+    Ok(bytes)
+}
 
 /// Compiles an MJCF file.
 pub(super) fn load_file(path: &Path) -> Result<MjModel, SimulationError> {
@@ -54,7 +89,11 @@ pub(super) fn can_sleep(model: &MjModel) -> bool {
 pub(super) fn compile_error(scene: &str, error: MjModelError) -> SimulationError {
     let message = match error {
         // MuJoCo puts the element and its line below what is wrong with it.
-        MjModelError::LoadFailed(message) => message.trim().replace('\n', "; "),
+        MjModelError::LoadFailed(message) => {
+            let is_part = message.contains("Unrecognized XML model type");
+            let advice = "; if other models include this file, name one of them";
+            message.trim().replace('\n', "; ") + if is_part { advice } else { "" }
+        }
         other => other.to_string(),
     };
     SimulationError::Compile { scene: scene.to_owned(), message }

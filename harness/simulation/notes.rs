@@ -5,17 +5,16 @@ use super::camera::{SampleTime, time_rendering};
 use super::features::features;
 use super::flow::unrendered;
 use super::joints::{ball_and_free, described, is_single, touches, word};
+use super::names::{GEOM, JOINT, first_few, name_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{PosedObject, Reading, is_pinhole, name_of};
+use super::resolve::{PosedObject, Reading, is_pinhole};
 use super::scene::Scene;
 use harness_spec::{Definition, Modality, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-/// Largest number of names in a note.
-const NAMES_SHOWN: usize = 10;
 /// How far a hinge (rad) or a slide (m) of a settled robot may move in a sample.
 const STILL: f64 = 1e-3;
 /// How many times as long as the fastest rendering the model's own must take to be worth a note.
@@ -120,17 +119,11 @@ fn unsettled(scene: &Scene, spec: &Simulation) -> Result<Option<String>, Simulat
     joints.sort_by(|one, other| moved(other).total_cmp(&moved(one)));
     let Some(most) = joints.first() else { return Ok(None) };
     let unit = if model.jnt_type()[*most] == MjtJoint::mjJNT_SLIDE { "m" } else { "rad" };
-    let name =
-        |joint: &usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).filter(|name| !name.is_empty());
-    let mut names: Vec<String> = joints.iter().filter_map(name).map(|name| format!("'{name}'")).collect();
-    match joints.len() - names.len() {
-        0 => {}
-        others => names.push(format!("{others} without a name")),
-    }
+    let names: Vec<String> = joints.iter().map(|joint| name_of(model, JOINT, *joint)).collect();
     Ok(Some(format!(
         "an episode does not start settled: with the first setpoints, the joints {} move by up to {:.2e} {unit} until \
          the second sample",
-        listed(&names),
+        first_few(&names),
         moved(most)
     )))
 }
@@ -161,8 +154,9 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
     let mut joints = unplaced(scene);
     joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]) && !is_read(*joint));
     let names: Vec<String> = joints.into_iter().map(|joint| described(model, joint)).collect();
-    (!names.is_empty())
-        .then(|| format!("no modality records {}; body_positions and body_orientations can", listed(&names)))
+    (!names.is_empty()).then(|| {
+        format!("no modality records {}; body_positions and body_orientations can", first_few(&names))
+    })
 }
 
 /// The geoms that ball and free joints move and whose contacts are not sensed, if the contacts of others are.
@@ -173,10 +167,9 @@ fn unrecorded_forces(scene: &Scene) -> Option<String> {
             && touches(model, *geom, |joint| !is_single(model, joint) && unplaced.contains(&joint))
     };
     let geoms: Vec<usize> = (0..model.ngeom() as usize).filter(is_left_out).collect();
-    let names: Vec<String> =
-        geoms.into_iter().map(|geom| name_of(model, MjtObjBase::mjOBJ_GEOM, geom)).collect();
+    let names: Vec<String> = geoms.into_iter().map(|geom| name_of(model, GEOM, geom)).collect();
     (scene.forces > 0 && !names.is_empty())
-        .then(|| format!("no modality records the forces on the geoms {}", listed(&names)))
+        .then(|| format!("no modality records the forces on the geoms {}", first_few(&names)))
 }
 
 /// The geoms that a camera would see if it were not inside them.
@@ -184,14 +177,13 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
     let mut notes: Vec<String> = Vec::new();
     for image in scene.images().filter(|image| is_pinhole(&scene.model, image.camera)) {
         let geoms = unrendered(data, &image);
-        let names: Vec<String> =
-            geoms.into_iter().map(|geom| name_of(&scene.model, MjtObjBase::mjOBJ_GEOM, geom)).collect();
+        let names: Vec<String> = geoms.into_iter().map(|geom| name_of(&scene.model, GEOM, geom)).collect();
         if !names.is_empty() {
             notes.push(format!(
                 "the camera of '{}' is inside of {}, or nearer than the model's near plane, so its image shows what is \
                  behind",
                 image.modality,
-                listed(&names)
+                first_few(&names)
             ));
         }
     }
@@ -249,10 +241,4 @@ fn slow_rendering(time: &SampleTime) -> Option<String> {
         1e3 * plain
     );
     (time.own_s > SLOW * plain).then_some(note)
-}
-
-pub(super) fn listed(names: &[String]) -> String {
-    let more = names.len().saturating_sub(NAMES_SHOWN);
-    let shown = names[..names.len() - more].join(", ");
-    if more == 0 { shown } else { format!("{shown} and {more} more") }
 }

@@ -3,6 +3,10 @@
 use super::SimulationError;
 use super::controls::Control;
 use super::joints::is_single;
+use super::names::{
+    ACTUATOR, BODY, CAMERA, FLEX, GEOM, JOINT, KEYFRAME, LIGHT, ObjectKind, SENSOR, SITE, listed, name_of,
+    named_or_asked,
+};
 use super::settled::Settling;
 use super::standing::FreeBody;
 use harness_spec::{
@@ -223,18 +227,6 @@ pub(super) struct SceneFactor {
 const HINGE: MjtJoint = MjtJoint::mjJNT_HINGE;
 const SLIDE: MjtJoint = MjtJoint::mjJNT_SLIDE;
 
-/// Kinds of things that a world file names, and the word for each.
-const JOINT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_JOINT, "joint");
-const GEOM: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_GEOM, "geom");
-const BODY: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_BODY, "body");
-const SENSOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SENSOR, "sensor");
-const SITE: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_SITE, "site");
-const CAMERA: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_CAMERA, "camera");
-const LIGHT: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_LIGHT, "light");
-const ACTUATOR: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_ACTUATOR, "actuator");
-const FLEX: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_FLEX, "flex");
-const KEYFRAME: (MjtObjBase, &str) = (MjtObjBase::mjOBJ_KEY, "keyframe");
-
 /// A column that both of two modalities have in the files of episodes, in which changes are not stored.
 fn shared_column(one: &Definition, other: &Definition) -> Option<String> {
     let stored = |definition: &Definition| -> Vec<String> {
@@ -248,35 +240,11 @@ fn shared_column(one: &Definition, other: &Definition) -> Option<String> {
     stored(other).into_iter().find(|column| own.contains(column))
 }
 
-/// Returns the names and indices of all named objects of a kind, in the model's order.
-pub(super) fn named(model: &MjModel, kind: MjtObjBase) -> Vec<(&str, usize)> {
-    let count = match kind {
-        MjtObjBase::mjOBJ_JOINT => model.njnt(),
-        MjtObjBase::mjOBJ_GEOM => model.ngeom(),
-        MjtObjBase::mjOBJ_BODY => model.nbody(),
-        MjtObjBase::mjOBJ_SENSOR => model.nsensor(),
-        MjtObjBase::mjOBJ_CAMERA => model.ncam(),
-        MjtObjBase::mjOBJ_LIGHT => model.nlight(),
-        MjtObjBase::mjOBJ_SITE => model.nsite(),
-        MjtObjBase::mjOBJ_FLEX => model.nflex(),
-        MjtObjBase::mjOBJ_KEY => model.nkey(),
-        _ => model.nactuator(),
-    };
-    let with_name = (0..count as usize).filter_map(|id| Some((model.id_to_name(kind, id)?, id)));
-    with_name.filter(|(name, _)| !name.is_empty()).collect()
-}
-
 /// Whether a camera is a perspective camera that only its field of view defines.
 pub(super) fn is_pinhole(model: &MjModel, camera: usize) -> bool {
     let is_perspective =
         model.cam_projection()[camera] == mujoco_rs::wrappers::mj_model::MjtProjection::mjPROJ_PERSPECTIVE;
     is_perspective && model.cam_sensorsize()[camera] == [0.0; 2]
-}
-
-/// Returns the name of an object in quotes.
-pub(super) fn name_of(model: &MjModel, kind: MjtObjBase, id: usize) -> String {
-    let name = model.id_to_name(kind, id).filter(|name| !name.is_empty());
-    name.map_or("one without a name".into(), |name| format!("'{name}'"))
 }
 
 /// Adds an image to those of the same camera and size.
@@ -287,9 +255,6 @@ fn add_coded(sights: &mut Vec<SceneSight>, coded: SceneCoded) {
         None => sights.push(SceneSight { camera, size, coded: vec![coded] }),
     }
 }
-
-/// Largest number of names in a message.
-const NAMES_SHOWN: usize = 40;
 
 /// Looks the names of a world file up in its model, with errors that say what is missing where.
 pub(super) struct Resolver<'a> {
@@ -438,40 +403,27 @@ impl<'a> Resolver<'a> {
         self.world.fault(path, message).into()
     }
 
-    fn list(all: &[(&str, usize)], word: &str) -> String {
-        if all.is_empty() {
-            return format!("the model has no {word} with a name");
-        }
-        let names: Vec<&str> = all.iter().take(NAMES_SHOWN).map(|(name, _)| *name).collect();
-        let more = if all.len() > NAMES_SHOWN { ", …" } else { "" };
-        format!("the model has {}{more}", names.join(", "))
-    }
-
-    fn find(
-        &self,
-        (kind, word): (MjtObjBase, &str),
-        name: &str,
-        path: &str,
-    ) -> Result<usize, SimulationError> {
-        let all = named(self.model, kind);
+    fn find(&self, kind: ObjectKind, name: &str, path: &str) -> Result<usize, SimulationError> {
+        let all = named_or_asked(self.model, kind, [name]);
         let found = all.iter().find(|(other, _)| *other == name).map(|(_, id)| *id);
         found.ok_or_else(|| {
-            self.fault(path, format!("the model has no {word} '{name}'; {}", Self::list(&all, word)))
+            let there = listed(self.model, kind);
+            self.fault(path, format!("the model has no {} '{name}'; {there}", kind.1))
         })
     }
 
     /// Returns the names and indices of the objects of a kind that match the patterns.
     fn matches(
         &self,
-        (kind, word): (MjtObjBase, &str),
-        patterns: &[String],
+        kind: ObjectKind,
+        patterns: &'a [String],
         path: &str,
     ) -> Result<Vec<(&'a str, usize)>, SimulationError> {
-        let all = named(self.model, kind);
+        let all = named_or_asked(self.model, kind, patterns.iter().map(String::as_str));
         let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
         let found = matching(patterns, &names).map_err(|(pattern, problem)| {
-            let there = Self::list(&all, word);
-            self.fault(path, format!("'{pattern}' {problem} among the model's {word} names; {there}"))
+            let there = listed(self.model, kind);
+            self.fault(path, format!("'{pattern}' {problem} among the model's {} names; {there}", kind.1))
         })?;
         Ok(found.into_iter().map(|index| all[index]).collect())
     }
@@ -480,7 +432,7 @@ impl<'a> Resolver<'a> {
     fn modality(
         &mut self,
         name: Modality,
-        sensing: &harness_spec::Sensing,
+        sensing: &'a harness_spec::Sensing,
         path: &str,
         others: &[(Definition, Vec<Reading>)],
     ) -> Result<(Definition, Vec<Reading>), SimulationError> {
@@ -592,7 +544,7 @@ impl<'a> Resolver<'a> {
     /// velocity of its body, and it and a ball joint have a quaternion and an angular velocity.
     fn joints(
         &self,
-        patterns: &[String],
+        patterns: &'a [String],
         path: &str,
         of: JointValue,
     ) -> Result<Vec<Sensed>, SimulationError> {
@@ -613,7 +565,7 @@ impl<'a> Resolver<'a> {
     /// Positions or orientations of bodies or sites.
     fn poses(
         &mut self,
-        patterns: &[String],
+        patterns: &'a [String],
         path: &str,
         of: Posed,
         orientation: bool,
@@ -658,7 +610,7 @@ impl<'a> Resolver<'a> {
 
     /// Returns the class of each geom and of each flex. A pattern names geoms or, where no geom matches, bodies or
     /// flexes.
-    fn classes(&self, classes: &Ordered<Vec<String>>, path: &str) -> Result<Code, SimulationError> {
+    fn classes(&self, classes: &'a Ordered<Vec<String>>, path: &str) -> Result<Code, SimulationError> {
         let mut of_geom = vec![None; self.model.ngeom() as usize];
         let mut of_flex = vec![None; self.model.nflex() as usize];
         for (class, (name, patterns)) in classes.iter().enumerate() {
@@ -691,7 +643,7 @@ impl<'a> Resolver<'a> {
     /// Returns the modality that tells the kind of each contact of a force, if the world file divides them into kinds.
     fn contact_kinds(
         &mut self,
-        sensing: &harness_spec::Sensing,
+        sensing: &'a harness_spec::Sensing,
         (force, readings): &(Definition, Vec<Reading>),
     ) -> Result<Option<(Definition, Vec<Reading>)>, SimulationError> {
         let Some(name) = force.contact_kind() else { return Ok(None) };
@@ -732,7 +684,7 @@ impl<'a> Resolver<'a> {
     /// Returns the matching geoms or, where no geom matches, the matching bodies, each with its geoms.
     fn touchable(
         &self,
-        patterns: &[String],
+        patterns: &'a [String],
         path: &str,
     ) -> Result<Vec<(&'a str, Range<usize>)>, SimulationError> {
         let bodies = self.matches(BODY, patterns, path);
@@ -754,7 +706,7 @@ impl<'a> Resolver<'a> {
     /// Forces on geoms or, where no geom matches, on all geoms of each body, or on flexes.
     fn contact_forces(
         &mut self,
-        patterns: &[String],
+        patterns: &'a [String],
         path: &str,
         mean: bool,
     ) -> Result<Vec<Sensed>, SimulationError> {
@@ -791,7 +743,7 @@ impl<'a> Resolver<'a> {
     }
 
     /// Forces on flexes.
-    fn flex_forces(&mut self, patterns: &[String], flexes: Vec<(&str, usize)>, mean: bool) -> Vec<Sensed> {
+    fn flex_forces(&mut self, patterns: &'a [String], flexes: Vec<(&str, usize)>, mean: bool) -> Vec<Sensed> {
         let elements = short_names(patterns, &names_of(&flexes));
         let mut sensed = Vec::new();
         for ((name, flex), element) in flexes.into_iter().zip(elements) {
@@ -816,7 +768,12 @@ impl<'a> Resolver<'a> {
         format!("body '{name}' has no geom, so nothing can touch it")
     }
 
-    fn sensors(&self, patterns: &[String], path: &str, unit: &str) -> Result<Vec<Sensed>, SimulationError> {
+    fn sensors(
+        &self,
+        patterns: &'a [String],
+        path: &str,
+        unit: &str,
+    ) -> Result<Vec<Sensed>, SimulationError> {
         let found = self.matches(SENSOR, patterns, path)?;
         let short = short_names(patterns, &names_of(&found));
         let mut sensed = Vec::new();
@@ -912,7 +869,7 @@ impl<'a> Resolver<'a> {
     ) -> Result<Control, SimulationError> {
         let all: Vec<Control> = Control::all_of(self.model, actuator).collect();
         let names: Vec<&str> = all.iter().filter_map(|control| control.name(self.model)).collect();
-        let (name, names) = (name_of(self.model, ACTUATOR.0, actuator), names.join(", "));
+        let (name, names) = (name_of(self.model, ACTUATOR, actuator), names.join(", "));
         match (wanted, all.as_slice()) {
             (_, []) => Err(self.fault(own, format!("actuator {name} has no control; leave it out"))),
             (None, [control]) => Ok(*control),
@@ -1079,7 +1036,7 @@ impl<'a> Resolver<'a> {
     /// Returns the names and the places of the modalities that match the patterns.
     fn measured<'d>(
         &self,
-        patterns: &[String],
+        patterns: &'a [String],
         modalities: &'d [Definition],
         path: &str,
     ) -> Result<Vec<(&'d str, usize)>, SimulationError> {
@@ -1230,7 +1187,7 @@ fn unmeasured(definition: &Definition, modalities: &[Definition]) -> Option<&'st
 }
 
 /// Returns the kind of the model's objects that have a property; `None` if modalities have it.
-fn kind_of(property: Property) -> Option<(MjtObjBase, &'static str)> {
+fn kind_of(property: Property) -> Option<ObjectKind> {
     Some(match property {
         Property::JointStiffness | Property::JointDamping | Property::JointStart => JOINT,
         Property::BodyMass | Property::Gravity => BODY,

@@ -1,7 +1,8 @@
 //! A scene: the compiled MuJoCo model of a world, with the names of the world file resolved.
 
 use super::course::Course;
-use super::load::{compile_error, load_file, load_text};
+use super::load::{compile_error, load_file, load_text, read_model};
+use super::names::{CAMERA, called};
 use super::plugins::load_plugins;
 use super::resolve::{
     Area, ContactKinds, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
@@ -81,13 +82,16 @@ impl Scene {
             ModelFile::File(path) => {
                 prepare()?;
                 let name = path.display().to_string();
-                let xml = std::fs::read_to_string(&path)
-                    .map_err(|error| world.fault("model", format!("can't read the model {name}: {error}")))?;
+                let unreadable =
+                    |problem| world.fault("model", format!("can't read the model {name}: {problem}"));
+                let bytes = read_model(&path).map_err(unreadable)?;
+                // MuJoCo accepts any bytes in comments.
+                let xml = String::from_utf8_lossy(&bytes).into_owned();
                 forget_assets();
                 let model = load_file(&path)?;
                 // The compiled model contains the content of other files.
                 let sha256 = match stands_alone(&xml) {
-                    true => digest(xml.as_bytes()),
+                    true => digest(&bytes),
                     false => digest_of_model(&name, &model)?,
                 };
                 Self::of_model(world, model, xml, sha256, name)
@@ -362,12 +366,8 @@ impl Scene {
     /// Returns the names of the model's cameras, in the model's order. A camera without a name is called `camera_` and
     /// its number, counted from 0.
     pub fn camera_names(&self) -> Vec<String> {
-        let name = |camera| self.model.id_to_name(MjtObjBase::mjOBJ_CAMERA, camera).unwrap_or_default();
-        let named = |camera| match name(camera) {
-            "" => format!("camera_{camera}"),
-            name => name.to_owned(),
-        };
-        (0..self.model.ncam() as usize).map(named).collect()
+        let name = |camera| called(&self.model, CAMERA, camera).unwrap_or_else(|| format!("camera_{camera}"));
+        (0..self.model.ncam() as usize).map(name).collect()
     }
 
     /// Returns the modalities whose images are rendered: those of cameras, and then depths and segmentations.

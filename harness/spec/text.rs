@@ -1,6 +1,8 @@
 //! Reads the text of specs and worlds.
 
 use super::error::SpecError;
+use harness_shared::quoted;
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -8,10 +10,13 @@ use std::path::Path;
 /// Size of the largest file that is read, bytes.
 pub(super) const MAX_FILE_BYTES: u64 = 1 << 20;
 
+/// The endings of the files of models.
+const MODELS: [&str; 4] = ["xml", "urdf", "mjb", "mjz"];
+
 /// Reads the text of a YAML file.
 ///
 /// # Errors
-/// When the file is missing, is a directory or an MJCF model, is larger than 1 MiB, can't be read, or is not UTF-8.
+/// When the file is missing, is a directory or a model, is larger than 1 MiB, can't be read, or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, SpecError> {
     let unreadable = |message: String| SpecError::Unreadable { path: path.display().to_string(), message };
     if path.is_dir() {
@@ -21,10 +26,13 @@ pub fn read_text(path: &Path) -> Result<String, SpecError> {
         std::io::ErrorKind::NotFound => unreadable("there is no such file".into()),
         _ => unreadable(format!("can't be opened: {error}")),
     })?;
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xml")) {
-        return Err(unreadable(
-            "is an MJCF model; `harness world new MODEL.xml` writes a world file for it".into(),
-        ));
+    let is_model = |ending: &OsStr| MODELS.iter().any(|model| ending.eq_ignore_ascii_case(model));
+    if path.extension().is_some_and(is_model) {
+        let path = path.to_string_lossy();
+        return Err(unreadable(format!(
+            "is a model; `harness world new {}` writes a world file for it",
+            quoted([&*path])
+        )));
     }
     let mut bytes = Vec::new();
     // Reading one byte more than allowed detects a file that is too large, even a pipe, whose metadata has no size.

@@ -83,7 +83,7 @@ FEATURES = {
 """LeRobot's features of the robots that the harness does not know, and the vectors that each is made of."""
 CAMERAS = {
     "twelve": {"observation.images.external": "vision", "observation.images.wrist": "wrist"},
-    "suite_finger": {"observation.images.camera_0": "camera_0", "observation.images.camera_1": "camera_1"},
+    "suite_finger": {"observation.images.cam0": "cam0", "observation.images.cam1": "cam1"},
 }
 ELEMENTS = {
     "twelve": ("observation.factors", ["factors_finger_stiffness [1]"]),

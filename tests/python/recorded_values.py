@@ -32,11 +32,15 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as parquet
 
-GEOM, BODY, SITE, JOINT, SENSOR, FLEX, ACTUATOR = (
-    getattr(mujoco.mjtObj, f"mjOBJ_{kind}") for kind in ("GEOM", "BODY", "SITE", "JOINT", "SENSOR", "FLEX", "ACTUATOR")
+GEOM, BODY, SITE, JOINT, SENSOR, FLEX, ACTUATOR, CAMERA, KEY = (
+    getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
+    for kind in ("GEOM", "BODY", "SITE", "JOINT", "SENSOR", "FLEX", "ACTUATOR", "CAMERA", "KEY")
 )
-COUNTS = {
-    GEOM: "ngeom", BODY: "nbody", SITE: "nsite", JOINT: "njnt", SENSOR: "nsensor", FLEX: "nflex", ACTUATOR: "nactuator",
+# The word for each kind of objects, and the attribute that has their number.
+KINDS = {
+    GEOM: ("geom", "ngeom"), BODY: ("body", "nbody"), SITE: ("site", "nsite"), JOINT: ("joint", "njnt"),
+    SENSOR: ("sensor", "nsensor"), FLEX: ("flex", "nflex"), ACTUATOR: ("actuator", "nactuator"),
+    CAMERA: ("camera", "ncam"), KEY: ("keyframe", "nkey"),
 }  # fmt: skip
 
 # Columns that no modality has.
@@ -48,14 +52,26 @@ TOLERANCE = 1e-6
 COLOR_TOLERANCE = 1
 
 
+def name_of(model, kind, index):
+    """The name of an object or, if it has none, its kind and its number; empty if another object has that name."""
+    number = f"{KINDS[kind][0]}_{index}"
+    return mujoco.mj_id2name(model, kind, index) or ("" if mujoco.mj_name2id(model, kind, number) >= 0 else number)
+
+
 def matching(model, kind, patterns):
-    """The indices of the named objects that match, in the model's order. A name that looks like a pattern is a name."""
-    names = [mujoco.mj_id2name(model, kind, index) for index in range(getattr(model, COUNTS[kind]))]
+    """The indices of the objects that match, in the model's order. A name that looks like a pattern is a name."""
+    names = [name_of(model, kind, index) for index in range(getattr(model, KINDS[kind][1]))]
 
-    def matches(name):
-        return any(name == p or p not in names and fnmatch.fnmatchcase(name, p) for p in patterns)
+    def matches(index, name):
+        has_name = bool(mujoco.mj_id2name(model, kind, index))
+        return any(name == p or has_name and p not in names and fnmatch.fnmatchcase(name, p) for p in patterns)
 
-    return [index for index, name in enumerate(names) if name and matches(name)]
+    return [index for index, name in enumerate(names) if name and matches(index, name)]
+
+
+def find(model, kind, name):
+    """The index of an object."""
+    return matching(model, kind, [name])[0]
 
 
 def upright(quaternion):
@@ -173,10 +189,10 @@ def links_of(model, patterns):
     for kind in (GEOM, FLEX):
         found = matching(model, kind, patterns)
         if found and (kind == GEOM or not model.body_geomnum[matching(model, BODY, patterns)].any()):
-            return [mujoco.mj_id2name(model, kind, index) for index in found], [{(kind, index)} for index in found]
+            return [name_of(model, kind, index) for index in found], [{(kind, index)} for index in found]
     bodies = matching(model, BODY, patterns)
     of_body = [{(GEOM, geom) for geom in np.flatnonzero(model.geom_bodyid == body).tolist()} for body in bodies]
-    return [model.body(body).name for body in bodies], of_body
+    return [name_of(model, BODY, body) for body in bodies], of_body
 
 
 def columns_of(names, patterns=()):
@@ -233,14 +249,14 @@ def reader(model, sensing):
     patterns = sensing[source]
     if source in POSES:
         kind, part = POSES[source]
-        frame = model.body(sensing["relative_to"]).id if sensing.get("relative_to") else None
+        frame = find(model, BODY, sensing["relative_to"]) if sensing.get("relative_to") else None
         found, value = matching(model, kind, patterns), pose(kind, part, frame)
-        ends = columns_of([mujoco.mj_id2name(model, kind, index) for index in found], patterns)
+        ends = columns_of([name_of(model, kind, index) for index in found], patterns)
         columns = [end + axis for end in ends for axis in (["_w", "_x", "_y", "_z"] if part else ["_x", "_y", "_z"])]
         return source, columns, lambda data, contacts: np.concatenate([value(data, index) for index in found])
     if source in PARTS_OF_JOINTS:
         found = matching(model, JOINT, patterns)
-        ends = columns_of([model.joint(index).name for index in found], patterns)
+        ends = columns_of([name_of(model, JOINT, index) for index in found], patterns)
         parts = PARTS_OF_JOINTS[source]
         columns = [end + part for end, index in zip(ends, found) for part in parts[model.jnt_type[index]]]
         if source == "joint_positions":
@@ -252,7 +268,7 @@ def reader(model, sensing):
         found = [model.sensor(index) for index in matching(model, SENSOR, patterns)]
         sizes = [sensor.dim[0] for sensor in found]
         parts = [[""] if size == 1 else [f"_{part}" for part in range(size)] for size in sizes]
-        ends = columns_of([sensor.name for sensor in found], patterns)
+        ends = columns_of([name_of(model, SENSOR, sensor.id) for sensor in found], patterns)
         columns = columns_of([end + part for end, own in zip(ends, parts) for part in own])
         return source, columns, lambda data, contacts: np.concatenate([data.sensor(sensor.id).data for sensor in found])
     names, links = links_of(model, patterns)
@@ -296,7 +312,7 @@ def depths(renderer, seen, low, high):
 def viewer(model, sensing):
     """Returns an image's source, and a function that draws it after `mj_forward`."""
     source = next(key for key in ("camera", "depth", "segmentation") if key in sensing)
-    renderer, camera = mujoco.Renderer(model, *sensing["size"]), sensing[source]
+    renderer, camera = mujoco.Renderer(model, *sensing["size"]), find(model, CAMERA, sensing[source])
     classes = [set().union(*links_of(model, patterns)[1]) for patterns in sensing.get("classes", {}).values()]
 
     def draw(data):
@@ -323,6 +339,9 @@ class Action:
     def __init__(self, model, world):
         self.model, self.elements, self.keyframe = model, world["action"]["actuators"], world.get("keyframe")
         self.controls = [self.driven(name, own) for name, own in self.elements.items()]
+        # The numbers of the mocap bodies that elements move.
+        moved = {name: own["mocap"] for name, own in self.elements.items() if own.get("mocap")}
+        self.mocaps = {name: model.body_mocapid[find(model, BODY, body)] for name, body in moved.items()}
 
     def driven(self, name, own):
         """The actuators that an element drives, each with the index of its control."""
@@ -336,22 +355,22 @@ class Action:
 
     def apply(self, data, setpoint):
         """Applies a setpoint: to actuators, or to coordinates of mocap bodies."""
-        for own, controls, value in zip(self.elements.values(), self.controls, setpoint):
+        for (name, own), controls, value in zip(self.elements.items(), self.controls, setpoint):
             for _, control in controls:
                 data.ctrl[control] = value
-            if own.get("mocap"):
-                data.mocap_pos[self.model.body(own["mocap"]).mocapid[0], "xyz".index(own["axis"])] = value
+            if name in self.mocaps:
+                data.mocap_pos[self.mocaps[name], "xyz".index(own["axis"])] = value
 
     def first(self):
         """The setpoint at the start of an episode, without a course."""
         found = []
-        key = self.model.key(self.keyframe) if self.keyframe else None
-        for own, controls in zip(self.elements.values(), self.controls):
+        key = self.model.key(find(self.model, KEY, self.keyframe)) if self.keyframe else None
+        for (name, own), controls in zip(self.elements.items(), self.controls):
             low, high = own["range"]
             if key is None:
                 found.append({"low": low, "middle": (low + high) / 2, "high": high}[own.get("start", "middle")])
-            elif own.get("mocap"):
-                place = key.mpos.reshape(-1, 3)[self.model.body(own["mocap"]).mocapid[0]]
+            elif name in self.mocaps:
+                place = key.mpos.reshape(-1, 3)[self.mocaps[name]]
                 found.append(np.clip(place["xyz".index(own["axis"])], low, high))
             else:
                 found.append(np.clip(key.ctrl.ravel()[controls[0][1]], low, high))
@@ -446,7 +465,7 @@ def start(model, action, setpoint, offsets):
     data = mujoco.MjData(model)
     servos = dict(action.servos(setpoint))
     if action.keyframe:
-        mujoco.mj_resetDataKeyframe(model, data, model.key(action.keyframe).id)
+        mujoco.mj_resetDataKeyframe(model, data, find(model, KEY, action.keyframe))
     else:
         for joint, value in servos.items():
             data.qpos[model.jnt_qposadr[joint]] = value
@@ -501,7 +520,7 @@ def varied(model, factors, drawn):
         key = next(key for key in ("gravity", "joint_start", "joint_damping", *SCALED) if key in factor)
         kind = SCALED[key][0] if key in SCALED else BODY if key == "gravity" else JOINT
         found = matching(model, kind, factor[key])
-        ends = columns_of([mujoco.mj_id2name(model, kind, index) for index in found], factor[key])
+        ends = columns_of([name_of(model, kind, index) for index in found], factor[key])
         own = [f"factors_{name}_{end}" for end in ends] if factor.get("each") else [f"factors_{name}"]
         values = np.broadcast_to(drawn[len(columns) : len(columns) + len(own)], len(found))
         columns += own

@@ -587,7 +587,7 @@ def test_a_damaged_network_is_named_with_what_trains_it_again(
 WORLDS = {
     "no camera": ("twelve.yaml", "camera: wrist", "camera: waist", r"twelve.yaml:\d+:\d+: .*waist"),
     "not a world": ("twelve.yaml", "step_rate_hz", "steps_hz", r"twelve.yaml:\d+:\d+: .*steps_hz"),
-    "model": ("twelve.xml", "<worldbody>", "<worldbodies>", "twelve.xml does not compile: "),
+    "model": ("twelve.xml", "<worldbody>", "<worldbodies>", "twelve.xml does not compile with MuJoCo 3.17.0: "),
     "rate": (
         "twelve.yaml",
         "sample_rate_hz: 10",

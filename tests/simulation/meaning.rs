@@ -91,20 +91,24 @@ fn one_of_several_controls_must_be_named() {
     let both = "action: {actuators: {p: {actuator: push, control: pos, range: [0, 1]}, \
                 v: {actuator: push, control: vel, range: [-1, 1]}}}\n";
     assert!(!note_of(SEVERAL, &format!("{HINGE}{both}")).contains("which stay"));
-    // A first world file has an element for each control.
+    // A first world file has an element for each control, also of an actuator without a name.
+    let unnamed = SEVERAL.replacen("<pid name=\"push\"", "<pid", 1);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("several.xml");
-    std::fs::write(&path, SEVERAL).unwrap();
-    let drafted = draft_world(&path, "several.xml").unwrap();
+    std::fs::write(&path, &unnamed).unwrap();
+    let drafted = draft_world(&path, "several.xml", None).unwrap();
     for line in [
         "turn_qw: {actuator: \"turn\", control: qw, ",
-        "push_vel: {actuator: \"push\", control: vel, range",
+        "actuator_1_vel: {actuator: \"actuator_1\", control: vel, range",
         "    drive: {actuator: \"drive\", range: [-2.0, 2.0]}\n",
     ] {
         assert!(drafted.contains(line), "{line}: {drafted}");
     }
     let world = World::parse("several.yaml", Some("".into()), "several", &drafted).unwrap();
-    Scene::from_xml(world.into(), SEVERAL, "several.xml".into()).unwrap();
+    Scene::from_xml(world.into(), &unnamed, "several.xml".into()).unwrap();
+    let reach = "action: {actuators: {reach: {actuator: actuator_1, control: pos, range: [0, 1]}}}\n";
+    let said = note_of(&unnamed, &format!("{HINGE}{reach}"));
+    assert!(said.contains("the controls vel of the actuator 'actuator_1', which stay 0"), "{said}");
 }
 
 /// A ball on a slide that rests on the floor, and a motor that pushes it up.
