@@ -48,8 +48,8 @@ fn collect(folder: &Path, world: &Path) {
 /// Parts of the models.
 const GROUND: &str = "<light pos='0 0 3'/><geom name='floor' type='plane' size='2 2 .1'/>";
 const ARM: &str = "<body pos='0 0 1'><joint name='x' axis='0 1 0'/><geom size='.05'/>\
-                   <body pos='.3 0 0'><joint name='y' type='slide' axis='1 0 0' range='-.1 .1'/><geom size='.05'/></body>\
-                   </body>";
+                   <body pos='.3 0 0'><joint name='y' type='slide' axis='1 0 0' range='-.1 .1'/><geom size='.05'/>\
+                   </body></body>";
 
 /// Models: the elements of `<worldbody>`, the elements after it, lines of the world file, and words of its check.
 const WALLS: [(&str, &str, &str, &[&str], &[&str]); 10] = [
@@ -57,7 +57,8 @@ const WALLS: [(&str, &str, &str, &[&str], &[&str]); 10] = [
         "what has no name is called by its number",
         "<body pos='0 0 1'><joint axis='0 1 0'/><geom size='.05'/><site name='s'/><body pos='.3 0 0'>\
          <joint type='slide' axis='1 0 0'/><geom size='.05'/></body></body>",
-        "<actuator><motor site='s' gear='0 0 1 0 0 0'/><motor site='s' gear='1 0 0 0 0 0' ctrlrange='-1 1'/></actuator>",
+        "<actuator><motor site='s' gear='0 0 1 0 0 0'/><motor site='s' gear='1 0 0 0 0 0' ctrlrange='-1 1'/>\
+         </actuator>",
         &[
             "  joints: {joint_positions: [\"joint_0\", \"joint_1\"]}\n",
             "  contact_force: {normal_force: [\"body_1\", \"body_2\"]}\n",
@@ -127,8 +128,8 @@ const WALLS: [(&str, &str, &str, &[&str], &[&str]); 10] = [
     (
         "sensors by kind and unit",
         ARM,
-        "<tendon><fixed name='t'><joint joint='y' coef='1'/></fixed></tendon><actuator><motor name='a' joint='y'/></actuator>\
-         <sensor><jointpos joint='x'/><jointpos name='slid' joint='y'/><tendonpos tendon='t'/><tendonvel tendon='t'/>\
+        "<tendon><fixed name='t'><joint joint='y' coef='1'/></fixed></tendon><actuator><motor name='a' joint='y'/>\
+         </actuator><sensor><jointpos joint='x'/><jointpos name='slid' joint='y'/><tendonpos tendon='t'/><tendonvel tendon='t'/>\
          <actuatorfrc actuator='a'/><clock/><contact name='force_x' geom1='floor' data='found'/></sensor>",
         &[
             "  jointpos_rad: {sensor: [\"sensor_0\"], unit: \"rad\"}\n",
@@ -149,16 +150,16 @@ const WALLS: [(&str, &str, &str, &[&str], &[&str]); 10] = [
     ),
     (
         "a geom that touches nothing and has the name of its body",
-        "<body name='arm' pos='0 0 1'><joint name='x'/><geom name='arm' size='.1' contype='0' conaffinity='0'/><geom size='.1'/>\
-         </body>",
+        "<body name='arm' pos='0 0 1'><joint name='x'/><geom name='arm' size='.1' contype='0' conaffinity='0'/>\
+         <geom size='.1'/></body>",
         "<actuator><motor joint='x'/></actuator>",
         &["  contact_force: {normal_force: [\"geom_2\"]}\n"],
         &["1 value: geom_2 (N)"],
     ),
     (
         "the vertices of a flex are no joints of a robot",
-        "<flexcomp name='cloth' type='grid' count='3 3 1' spacing='.1 .1 .1' pos='0 0 1' radius='.01' dim='2' mass='.1'/>\
-         <body name='hand' mocap='true' pos='0 0 2'/>",
+        "<flexcomp name='cloth' type='grid' count='3 3 1' spacing='.1 .1 .1' pos='0 0 1' radius='.01' dim='2' \
+         mass='.1'/><body name='hand' mocap='true' pos='0 0 2'/>",
         "",
         &["  flex_force: {normal_force: [\"cloth\"]}\n", "    hand_x: "],
         &["1 value: cloth (N)"],
@@ -199,7 +200,7 @@ fn a_model_without_actuators_gets_a_copy_with_some() {
     let mesh = "<body pos='0 0 1'><joint axis='0 1 0'/><geom type='mesh' mesh='m'/></body>";
     let chain = "<body pos='0 0 1'><joint type='ball'/><geom size='.1'/></body>";
     for (bodies, offer, line) in [
-        (ARM, servos, "  {actuator: \"y\", range: [-0.1, 0.1]}\n"),
+        (ARM, servos, "    y: {actuator: \"y\", range: [-0.1, 0.1]}\n"),
         (mesh, "a position servo on its joint", "    joint_0: {actuator: \"joint_0\", range: [-1.0, 1.0]}\n"),
         (
             heap,
@@ -309,8 +310,8 @@ fn what_is_no_model_of_a_robot_is_refused_with_a_way_on() {
     let text = fs::read_to_string(path("latin.yaml")).unwrap();
     fs::write(path("latin.yaml"), text.replace("\"actuator_0\"", "actuator_9")).unwrap();
     let said = finish(&mut harness(&folder, &["world", "check", &path("latin.yaml")])).stderr;
-    let expected = "no actuator 'actuator_9'; the model has no actuator with a name; one without a name is called by its \
-                    number, such as actuator_0";
+    let expected = "no actuator 'actuator_9'; the model has no actuator with a name; one without a name is called by \
+                    its number, such as actuator_0";
     assert!(said.contains(expected), "{said}");
 }
 

@@ -77,9 +77,9 @@ fn servo_joints(model: &MjModel) -> Vec<usize> {
     (0..model.njnt() as usize).filter(|joint| is_single(model, *joint) && !of_flex.contains(joint)).collect()
 }
 
-/// Returns a copy of the model at the path `model` with a position servo on each hinge and slide or, if there is none, a
-/// mocap body that touches what moves. The copy finds the files of the model from any folder if `is_elsewhere`, and else
-/// from the model's own.
+/// Returns a copy of the model at the path `model` with a position servo on each hinge and slide or, if there is none,
+/// a mocap body that touches what moves. The copy finds the files of the model from any folder if `is_elsewhere`, and
+/// else from the model's own.
 ///
 /// # Errors
 /// When the model can't be read or compiled, has an actuator or a mocap body already, or nothing in it moves.
