@@ -689,10 +689,7 @@ fn a_page_shows_six_variants_and_says_how_many_there_are() {
     assert!(page.contains("<th scope=\"col\">hidden=8</th>"));
     let chosen = page_without_pictures(&copy, "chosen.html", &["many", "--where", "variant=hidden=8"]);
     assert!(!chosen.contains("Charts and images show"));
-    assert_eq!(
-        experiments_in(&data(&chosen), "joints", "input"),
-        ["from camera 0 + joints".to_owned()].into()
-    );
+    assert_eq!(experiments_in(&data(&chosen), "joints", "input"), ["from joints + side".to_owned()].into());
 }
 
 #[test]
