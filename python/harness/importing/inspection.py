@@ -263,7 +263,7 @@ def _ros2(path: Path) -> Contents:
             message = next((message for _, message in bag.messages(connection)), None)
             if message is None or topic in SKIPPED_TOPICS:
                 continue
-            groups = _joints(bag, connection) if connection.msgtype == ros2.JOINTS else {}
+            groups = _joints(bag, connection) if connection.msgtype == ros2.JOINT_STATE else {}
             for messages in groups.values():
                 lines.append(f"    {len(messages)} messages of the joints {', '.join(messages[0][1].name)}")
             if len(groups) > 1:
@@ -296,7 +296,7 @@ def _of_joints(stream: str, topic: str, joints: frozenset[str], messages: list[t
     rate, gap = _rate(np.array([time for time, _ in messages], np.float64) / 1e9)
     first = messages[0][1]
     columns = []
-    for field in ros2.OF_JOINTS:
+    for field in ros2.OF_EACH_JOINT:
         if len(getattr(first, field)) == len(joints):
             term = _list(stream, [f"{field}.{joint}" for joint in first.name])
             columns.append((f"{stream}_{field}", term, False))

@@ -16,8 +16,8 @@ from .streams import Stream, Take, View, blaming, needing, seconds, sources
 SUFFIXES = (".mcap", ".db3", ".bag")
 MARKS = ("metadata.yaml",)
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-JOINTS = "sensor_msgs/msg/JointState"
-OF_JOINTS = ("position", "velocity", "effort")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+OF_EACH_JOINT = ("position", "velocity", "effort")
 """The fields of a sensor_msgs/JointState that have a value of each joint in its field `name`."""
 NAMES = ("name", "names", "joint_names")
 """Fields that name the elements of a message's other fields."""
@@ -186,7 +186,7 @@ class BagStream(Stream):
             if first is None:
                 first = message
                 self._names = self._names if first_bag else _names(message)
-            if self._connection.msgtype == JOINTS:
+            if self._connection.msgtype == JOINT_STATE:
                 joints |= dict.fromkeys(message.name)
             elif _names(message) != self._names:
                 raise self._other_names(row, _names(message))
@@ -219,7 +219,7 @@ class BagStream(Stream):
 
     def _other_names(self, row: int, names: Any) -> MappingError:
         hint = ""
-        if self._connection.msgtype == JOINTS:
+        if self._connection.msgtype == JOINT_STATE:
             term = f"{self._prefix}position.{names[0] if names else 'JOINT'}"
             hint = f"; select joints by their names, such as {term}, with 'missing: skip' if a message has only some"
         return MappingError(
@@ -244,7 +244,7 @@ class BagStream(Stream):
     def _numbers(self, message: Any, path: str, row: int) -> np.ndarray:
         """Returns the numbers of a field, or of one joint in it, float64 [numbers]."""
         field, _, joint = path.partition(".")
-        by_joint = self._connection.msgtype == JOINTS and field in OF_JOINTS
+        by_joint = self._connection.msgtype == JOINT_STATE and field in OF_EACH_JOINT
         value = message
         for name in [field] if by_joint else path.split("."):
             value = getattr(value, name)
