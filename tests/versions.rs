@@ -133,6 +133,16 @@ fn the_version_of_the_file_counts_or_else_the_last_start() {
 }
 
 #[test]
+fn no_run_that_counts_is_superseded_by_one_of_another_version() {
+    let two = Two::new("versions_superseded");
+    // The first run again, in the new version.
+    two.say(&["run", two.world.path().join("spec.yaml").to_str().unwrap(), "seeds=[0]"]);
+    move_wall(two.world.path(), ".25", ".3");
+    two.say(&["gc", "--yes"]);
+    assert_eq!(two.compared(&[]), one_of(2, "4"));
+}
+
+#[test]
 fn an_experiment_whose_runs_are_all_of_another_version_says_so() {
     let two = Two::new("versions_of_experiments");
     let spec = two.world.path().join("spec.yaml");
@@ -164,6 +174,15 @@ fn diff_says_what_differs_in_the_world() {
     assert!(!said.contains("ridge") && said.lines().count() < 25, "{said}");
     let full = two.say(&["diff", old, new, "--all"]).stdout;
     assert!(full.contains("ridge") && full.lines().count() > said.lines().count(), "{full}");
+
+    // Datasets of earlier versions lack the model.
+    let model =
+        fs::read_dir(two.results.join("datasets")).unwrap().next().unwrap().unwrap().path().join("model.xml");
+    let kept = fs::read(&model).unwrap();
+    fs::remove_file(&model).unwrap();
+    let said = two.say(&["diff", old, new]).stdout;
+    assert!(said.contains("lacks its model") && !said.contains("'wall'"), "{said}");
+    fs::write(&model, kept).unwrap();
 
     // The content of a mesh is no text of the MJCF.
     fs::write(two.world.path().join("tip.obj"), MESH.replace("0 0 .03", "0 0 .04")).unwrap();

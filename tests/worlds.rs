@@ -50,6 +50,12 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "'knuckle_*' matches nothing among the model's joint names; the model has arm_rotation, arm_lift",
         ),
         (
+            "joint_positions: finger_joint_*",
+            "joint_positions: []",
+            place("finger_joint_*"),
+            "'modalities.proprioception.joint_positions': expected a list of at least one item, each a text",
+        ),
+        (
             "camera: external",
             "camera: inside",
             place("external"),

@@ -34,13 +34,27 @@ pub const OVERALL: &str = "index is null and (direction is null or direction lik
 /// When the SQL is invalid or not supported, names a table or column that does not exist, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    let query = Query::parse(sql)?;
     let answer = query_of(registry, |_| true, sql)?;
-    let tells_apart = query.names().contains("world_version");
-    let recorded = if tells_apart { Vec::new() } else { registry.recorded() };
-    let seen = recorded.iter().map(|(_, record)| record).filter(|record| sees(&query, record));
-    registry.mention_outdated(&registry.outdated(&recorded), seen);
+    mention_outdated(registry, &registry.recorded(), &Query::parse(sql)?);
     Ok(answer)
+}
+
+/// Answers one statement of SQL like [`query`], over runs that were read before.
+///
+/// # Errors
+/// Like [`query`].
+pub fn query_all(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
+    let answer = query_recorded(registry, runs, sql)?;
+    mention_outdated(registry, runs, &Query::parse(sql)?);
+    Ok(answer)
+}
+
+/// Remembers that a query sees runs in several versions of a world, unless it tells them apart.
+fn mention_outdated(registry: &Registry, runs: &[Recorded], query: &Query) {
+    if !query.names().contains("world_version") {
+        let seen = runs.iter().map(|(_, record)| record).filter(|record| sees(query, record));
+        registry.mention_outdated(&registry.outdated(runs), seen);
+    }
 }
 
 /// Whether a query may see rows of a run.

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 use harness::analysis::differing;
 use harness::catalog::{OVERALL, query_of, rows};
-use harness::dataset::world_parts;
+use harness::dataset::{is_of_model, world_parts};
 use harness::judge::models::baselines_in_sql;
 use harness::metrics::{best, rounded};
 use harness::numbers::counted;
@@ -68,14 +68,14 @@ impl Diff {
         if !is_simulated(a) || !is_simulated(b) || a.provenance.world == b.provenance.world {
             return;
         }
-        let [of_a, of_b] = [a, b].map(|run| world_parts(&registry.datasets().join(&run.dataset)));
-        println!();
-        if of_a.is_empty() || of_b.is_empty() {
-            let run = if of_a.is_empty() { "a" } else { "b" };
-            return print_text(&format!(
-                "the worlds differ; the dataset of {run}, which has its world, is gone"
-            ));
+        let mut parts = [a, b].map(|run| world_parts(&registry.datasets().join(&run.dataset)));
+        let without_model = parts.each_ref().map(|of| !of.keys().any(|part| is_of_model(part)));
+        let lacking = ["a", "b"].into_iter().zip(without_model).find(|(_, without)| *without);
+        if lacking.is_some() {
+            parts.iter_mut().for_each(|of| of.retain(|part, _| !is_of_model(part)));
         }
+        let [of_a, of_b] = parts;
+        println!();
         let keys: BTreeSet<&String> = of_a.keys().chain(of_b.keys()).collect();
         let value = |of: &BTreeMap<String, String>, key: &String| {
             of.get(key).cloned().unwrap_or_else(|| MISSING.into())
@@ -88,11 +88,18 @@ impl Diff {
         let mut rows: Vec<[String; 3]> = rows.collect();
         let more = if self.all { 0 } else { rows.len().saturating_sub(MOST_PARTS) };
         rows.truncate(rows.len() - more);
-        if rows.is_empty() {
-            return print_text(
-                "the worlds differ in what their datasets do not have: in the model, if earlier versions collected \
-                 them, or in digits that MJCF rounds",
+        if let Some((run, _)) = lacking {
+            print_text(&format!(
+                "the worlds differ; the dataset of {run} is gone or lacks its model, so models are not compared"
+            ));
+        } else if rows.is_empty() {
+            print_text(
+                "the worlds differ in what their datasets do not have: in a comment of the model, or in digits that \
+                 MJCF rounds",
             );
+        }
+        if rows.is_empty() {
+            return;
         }
         print_texts(["in the world", "a", "b"], rows);
         if more > 0 {

@@ -14,7 +14,7 @@ pub use description::{MODEL, layout_of};
 pub use imported::Imported;
 pub use store::{CompiledModel, Dataset};
 pub use verify::{Inspection, inspect, is_lock};
-pub use version::{WorldVersion, world_parts};
+pub use version::{WorldVersion, is_of_model, world_parts};
 
 use harness_samples::FramesError;
 use harness_shared::files::{LockError, WriteError};

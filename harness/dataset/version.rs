@@ -118,6 +118,11 @@ pub fn world_parts(folder: &Path) -> BTreeMap<String, String> {
     parts
 }
 
+/// Whether a part of a world, one of [`world_parts`], is one of its model.
+pub fn is_of_model(part: &str) -> bool {
+    !["world.", "factors."].iter().any(|start| part.starts_with(start))
+}
+
 fn add_leaves(parts: &mut BTreeMap<String, String>, key: &str, value: &Value) {
     match value {
         Value::Object(entries) => {

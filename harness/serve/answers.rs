@@ -6,7 +6,7 @@ use harness_analysis::{
     Analysis, AnalysisError, Comparison, Interval, Key, Labels, Mean, Part, Selection, Side, Subject,
     all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings, whole_metrics,
 };
-use harness_catalog::{QueryError, query_recorded};
+use harness_catalog::{QueryError, query_all, query_recorded};
 use harness_claims::{Claim, ClaimsError, ClaimsFile, Judgment, Readings, judge};
 use harness_registry::{Recorded, Registry};
 use harness_spec::SpecError;
@@ -207,7 +207,8 @@ pub fn settings(version: u128, runs: &[Recorded]) -> String {
 /// The metrics of an experiment's networks beside those of baselines, as `harness compare` shows them.
 pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Result<Answer, Failure> {
     let selection = Selection { experiments: vec![experiment.to_owned()], ..Selection::default() };
-    let analysis = Analysis::of(registry, runs.to_vec(), &selection)?;
+    let registry = registry.anew();
+    let analysis = Analysis::of(&registry, runs.to_vec(), &selection)?;
     let means = analysis.means_at_own_horizons()?;
     if means.is_empty() {
         return Err(Failure::Unknown(format!("finished run of {experiment}")));
@@ -246,7 +247,8 @@ pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Resu
         })
     };
     let tables: Vec<Value> = comparison.parts().into_iter().map(table).collect();
-    Ok(Answer::Json(json!({ "tables": tables, "notes": analysis.notes() }).to_string()))
+    let notes: Vec<String> = analysis.notes().iter().cloned().chain(registry.left_out()).collect();
+    Ok(Answer::Json(json!({ "tables": tables, "notes": notes }).to_string()))
 }
 
 /// A mean of a table, with its interval and the text that shows both.
@@ -275,7 +277,7 @@ pub fn tables() -> Answer {
 /// The answer to a query over these runs, with at most [`MOST_ROWS`] rows, and what `registry` left out of it.
 pub fn sql(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<Answer, Failure> {
     let start = Instant::now();
-    let found = query_recorded(registry, runs, sql)?;
+    let found = query_all(registry, runs, sql)?;
     let shown = found.height().min(MOST_ROWS);
     let answer = json!({
         "count": found.height(),

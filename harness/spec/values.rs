@@ -3,9 +3,9 @@
 use schemars::{Schema, SchemaGenerator, json_schema};
 use std::borrow::Borrow;
 
-/// The schema of a list of patterns of names.
+/// The schema of a list of patterns of names, which is not empty.
 pub(super) fn globs(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": { "type": "string" } })
+    json_schema!({ "type": "array", "items": { "type": "string" }, "minItems": 1 })
 }
 
 /// Refuses a range whose lowest value is above its highest. The error is the message.

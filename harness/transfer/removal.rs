@@ -106,8 +106,10 @@ pub fn usage(registry: &Registry) -> Vec<Usage> {
 /// No dataset counts as unused while runs are left out, because they may use it; see [`Registry::left_out`].
 pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
     let recorded = registry.recorded();
-    let superseded = superseded(recorded.iter().map(|(_, record)| record));
     let outdated = registry.outdated(&recorded);
+    // A run in another version of the world supersedes none that counts.
+    let counting = recorded.iter().map(|(_, record)| record).filter(|record| !outdated.has(record));
+    let superseded = superseded(counting);
     let mut found = Vec::new();
     let mut used = BTreeSet::new();
     for (folder, record) in &recorded {
