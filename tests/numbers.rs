@@ -112,7 +112,8 @@ fn write(registry: &Registry, experiment: &Experiment, name: &str, random: &mut 
         if chance(random, 0.05) {
             continue;
         }
-        let folder = registry.run(name, &spec, &format!("{}-{model}", spec.scenario));
+        let moves = spec.simulation.as_ref().unwrap().actuations_per_episode;
+        let folder = registry.run(name, &spec, &format!("{}-{model}{moves}", spec.scenario));
         let run = registry.claim(&folder).unwrap().unwrap();
         let record = run.begin(&spec, &Layout::finger(), &Provenance::default()).unwrap();
         match random.random_range(0..40) {

@@ -17,7 +17,7 @@ use harness::meant;
 use harness::metrics::{Metric, best};
 use harness::numbers::Natural;
 use harness::registry::Registry;
-use harness::spec::{Task, variant_parts};
+use harness::spec::{Modality, Task, variant_parts};
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::ExitCode;
@@ -250,7 +250,8 @@ impl Compare {
         let is_missing = |name: &&String| !means.iter().any(|mean| mean.of.is_of(name));
         match self.modality.iter().find(is_missing) {
             Some(wanted) => {
-                let known: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
+                let predicted = means.iter().filter(|mean| mean.of.modality != Modality::LATENT);
+                let known: BTreeSet<String> = predicted.map(|mean| mean.of.predicted()).collect();
                 let known = known.into_iter().collect::<Vec<_>>().join(", ");
                 Err(CompareError::Modality { wanted: wanted.clone(), known })
             }
