@@ -395,7 +395,6 @@ pub enum Start {
 #[serde(deny_unknown_fields)]
 pub struct Placing {
     /// Names of the bodies. Each needs a free joint, and a geom that can touch something.
-    #[schemars(schema_with = "globs")]
     pub bodies: Vec<String>,
     /// Smallest distance between two bodies, m. A body that is drawn nearer to another is drawn again.
     #[schemars(range(min = 0.0, max = 1000.0))]
