@@ -333,7 +333,10 @@ fn many_columns_of_a_text_are_rows() {
     // R2 of the force, which has the last column, as in docs/memory.md.
     assert!(row(&short).ends_with(" 0.726 ± 0.040") && row(&all).ends_with(" 0.726 ± 0.040"), "{short}");
     assert!(part(&short).contains("* the best of its column"), "{short}");
-    assert!(!short.contains("\nridge, ") && short.contains("; ridge of each column is left out"), "{short}");
+    assert!(
+        !short.contains("\nridge, ") && short.contains("; ridge of each column is left out; --all shows it"),
+        "{short}"
+    );
     assert!(all.contains("\nridge, all_senses ") && !all.contains("left out"), "{all}");
 }
 
@@ -729,7 +732,7 @@ fn what_does_not_change_in_the_test_samples_is_named() {
     assert!(checked.contains("note: 'contact_force' is 0 in "), "{checked}");
     assert!(!checked.contains("'joints' does not change"), "{checked}");
     let spec = "name: pendulum\nscenarios: [pendulum.yaml]\ninput: [joints]\noutput: [contact_force]\nlatent: 2\n\
-                network: {preset: single_to_multi, hidden: [4]}\ntasks: [prediction]\n\
+                network: {preset: single_to_multi, hidden: [4]}\ntasks: [prediction]\nwindow: {horizon: 4}\n\
                 simulation: {episodes: 4, actuations_per_episode: 2}\ntraining: {epochs: 1, batch_size: 16}\n";
     std::fs::write(path("spec.yaml"), spec).unwrap();
     let is = "contact_force is 0 in all test samples, so its r2 ";
@@ -746,6 +749,18 @@ fn what_does_not_change_in_the_test_samples_is_named() {
         compared.contains("RMSE (N)") && compared.contains("so its r2 and wmape are not defined"),
         "{compared}"
     );
+    // What is 0 at some horizons may change at others.
+    for (option, horizons) in [
+        (["--horizon", "4"], "horizon 4"),
+        (["--horizon", "4,1"], "horizons 1 and 4"),
+        (["--by", "horizon"], "horizons 1, 2 and 4"),
+    ] {
+        let compared = plain(&succeed(&results, &[&["compare"][..], &option].concat()));
+        let is = format!(
+            "contact_force is 0 in all test samples of {horizons}, so its r2 and wmape are not defined"
+        );
+        assert!(compared.contains(&is), "{compared}");
+    }
     let refused = finish(&mut harness(&results, &["compare", "--metrics", "r2"]));
     assert!(
         refused.code == 2 && refused.stderr.starts_with(&format!("error: {is}is not defined; no run has"))

@@ -15,7 +15,7 @@ use harness::analysis::{
 };
 use harness::meant;
 use harness::metrics::{Metric, best};
-use harness::numbers::Natural;
+use harness::numbers::{Natural, enumerated};
 use harness::registry::Registry;
 use harness::spec::{Modality, Task, variant_parts};
 use polars::prelude::{Column, DataFrame, PolarsResult};
@@ -152,8 +152,8 @@ impl Compare {
         self.check_metrics(&all)?;
         check_models(&self.models, &all)?;
         self.check_modalities(&all)?;
-        let undefined =
-            analysis.undefined()?.sentences(|metric| self.metrics.iter().any(|name| name == metric));
+        let undefined = analysis.undefined(self.horizons(&analysis)?.as_ref())?;
+        let undefined = undefined.sentences(|metric| self.metrics.iter().any(|name| name == metric));
         if !all.iter().any(|mean| self.wants(mean)) && self.metrics.join(",") == USUAL {
             self.metrics = ALWAYS_DEFINED.map(|metric| metric.name().to_owned()).to_vec();
         }
@@ -220,8 +220,19 @@ impl Compare {
         if self.by.contains(&Key::Horizon) {
             return Err(CompareError::Horizons.into());
         }
-        let wanted: BTreeSet<usize> = self.horizon.iter().map(|horizon| *horizon as usize).collect();
-        Ok(analysis.means_at(&wanted, &self.by)?)
+        Ok(analysis.means_at(&self.chosen_horizons(), &self.by)?)
+    }
+
+    /// The horizons that the table tells apart; `None` if its predictions are of the next sample.
+    fn horizons(&self, analysis: &Analysis) -> Result<Option<BTreeSet<usize>>> {
+        if self.by.contains(&Key::Horizon) {
+            return Ok(Some(analysis.horizons()?));
+        }
+        Ok(Some(self.chosen_horizons()).filter(|chosen| !chosen.is_empty()))
+    }
+
+    fn chosen_horizons(&self) -> BTreeSet<usize> {
+        self.horizon.iter().map(|horizon| *horizon as usize).collect()
     }
 
     /// Whether this metric is wanted.
@@ -358,8 +369,9 @@ impl<'a> Printed<'a> {
         self.table.values.retain(|(_, side), _| !is_left_out(side));
         let shown: BTreeSet<Subject> = self.table.values.keys().map(|(subject, _)| subject.clone()).collect();
         self.table.units.retain(|subject, _| shown.contains(subject));
-        let names = names.into_iter().collect::<Vec<_>>().join(" and ");
-        self.notes.push(format!("{names} of each column is left out, and --all shows it"));
+        let (verb, them) = if names.len() == 1 { ("is", "it") } else { ("are", "them") };
+        let names = enumerated(&names.into_iter().collect::<Vec<_>>());
+        self.notes.push(format!("{names} of each column {verb} left out; --all shows {them}"));
     }
 
     /// The means of all rows and columns as a table for programs. The column `difference_from` has the heading `base`

@@ -115,7 +115,7 @@ fn undefined(rows: &[Row]) -> Vec<String> {
     for row in rows.iter().filter(lacks) {
         let part = row.direction.iter().map(|part| format!(" {part}")).collect::<String>();
         let place = if scenarios.len() > 1 { format!("{}: ", row.scenario) } else { String::new() };
-        undefined.add(&format!("{place}{}{part}", row.modality), &row.metric);
+        undefined.add(&format!("{place}{}{part}", row.modality), None, &row.metric);
     }
     undefined.sentences(|_| true)
 }

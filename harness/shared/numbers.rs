@@ -94,6 +94,14 @@ pub fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
+/// Lists words as in a sentence: `a, b and c`.
+pub fn enumerated(words: &[String]) -> String {
+    match words {
+        [first @ .., last] if !first.is_empty() => format!("{} and {last}", first.join(", ")),
+        _ => words.concat(),
+    }
+}
+
 /// Formats a duration with a suitable unit: `0.8 s`, `44 min`, `5.2 h`.
 pub fn duration(seconds: f64) -> String {
     match seconds {
