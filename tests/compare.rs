@@ -805,7 +805,11 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare"][..],
             "error: there are no finished runs to compare; `harness --results ",
         ),
-        (&RESULTS, &["compare", "smok"], "error: 'smok' has no finished runs; those that have: smoke\n"),
+        (
+            &RESULTS,
+            &["compare", "smok"],
+            "error: 'smok' has no finished runs; did you mean 'smoke'? Those that have: smoke\n",
+        ),
         (
             &RESULTS,
             &["compare", SMOKE],

@@ -159,15 +159,17 @@ fn numbers(all: &BTreeSet<usize>) -> String {
     all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// Says which experiments have finished runs. If `wanted` is the path of a spec, its experiment may be one of them.
-fn finished(wanted: &str, there: &[String]) -> String {
+/// Says which experiments have finished runs, and which of them was probably meant. If `wanted` is the path of a spec,
+/// its experiment may be one of them.
+pub fn finished(wanted: &str, there: &[String]) -> String {
     if there.is_empty() {
         return "no experiment in this folder has any; `harness ls` says which runs failed or are running"
             .to_owned();
     }
     let names = there.join(", ");
     let name = wanted.strip_suffix(".yaml").and_then(|path| path.rsplit('/').next());
-    match there.iter().find(|there| name == Some(there.as_str())) {
+    let there: Vec<&str> = there.iter().map(String::as_str).collect();
+    match nearest(name.unwrap_or(wanted), &there) {
         Some(name) => format!("did you mean '{name}'? Those that have: {names}"),
         None => format!("those that have: {names}"),
     }

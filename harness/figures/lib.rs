@@ -30,7 +30,7 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, usual_key};
+use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, finished, usual_key};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
@@ -52,7 +52,7 @@ pub enum FigureError {
     #[error(
         "{} has no finished runs of {experiment}; {}",
         root.display(),
-        command.as_ref().map_or_else(|| finished(there), |command| format!("make them with `{command}`"))
+        command.as_ref().map_or_else(|| finished(experiment, there), |command| format!("make them with `{command}`"))
     )]
     NoRuns {
         /// The experiment's name.
@@ -176,14 +176,6 @@ pub enum FigureError {
     /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-}
-
-/// Says which experiments have finished runs.
-fn finished(experiments: &[String]) -> String {
-    match experiments {
-        [] => "no experiment has any".to_owned(),
-        names => format!("those that have: {}", names.join(", ")),
-    }
 }
 
 impl FigureError {
