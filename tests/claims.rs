@@ -426,7 +426,7 @@ fn runs_of_other_settings_are_refused_and_chosen_by_name() {
     // Only five runs have the other batch size, which is enough only for claims about forces.
     let option = ["--where", "single_to_multi:training.batch_size=16"];
     let chosen = succeed(folder.path(), &[&["claims", "force_errors_stay_high"][..], &option].concat());
-    assert!(chosen.contains("undecided: no data"), "{chosen}");
+    assert!(chosen.contains("no data") && !chosen.contains("undecided: no data"), "{chosen}");
 }
 
 #[test]
@@ -819,6 +819,25 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
     let line = short.lines().find(|line| line.starts_with("vision_improves_force_r2 ")).unwrap();
     let words: Vec<&str> = line.split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
     assert_eq!(words[1..], ["holds", "does not hold", "holds"], "{short}");
+    // One word for what has no runs, and a line about the columns.
+    assert!(short.contains(" without data\n") && !short.contains("without runs"), "{short}");
+    assert!(
+        short.contains("\nbase: paper: ") && short.contains("own experiments: the experiments that"),
+        "{short}"
+    );
+}
+
+#[test]
+fn no_run_is_added_to_published_results() {
+    let reference = root().join("results/reference");
+    for arguments in [&["claims"][..], &["claims", "--all"]] {
+        let judged = succeed(&reference, arguments);
+        assert!(judged.ends_with("\nfor claims without data   harness run paper\n"), "{judged}");
+        assert!(
+            judged.contains("\nno run is added to published results; these commands make runs in "),
+            "{judged}"
+        );
+    }
 }
 
 #[test]

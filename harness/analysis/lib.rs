@@ -350,7 +350,8 @@ impl Analysis {
     }
 
     /// The command that makes the runs of the experiment `name` with the requested settings, as quick runs if `quick`.
-    /// `None` if no spec of this name makes such runs.
+    /// `None` if no spec of this name makes such runs. Published results are left as they are, so the command makes the
+    /// runs in the usual results folder.
     pub fn command(&self, name: &str, quick: bool) -> Option<String> {
         let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
         let experiment = format!("{name}{ending}");
@@ -359,7 +360,17 @@ impl Analysis {
         let made = harness_spec::load(Path::new(name), &overrides, quick).ok()?;
         let overrides = overrides.iter().map(|text| format!(" {}", quoted([text.as_str()])));
         let command = format!("run {name}{option}{}", overrides.collect::<String>());
-        (made.name == experiment).then(|| self.registry.command(&command))
+        let command = || match self.is_published() {
+            true => format!("harness {command}"),
+            false => self.registry.command(&command),
+        };
+        (made.name == experiment).then(command)
+    }
+
+    /// Whether there are runs that count, and all of them are published copies.
+    pub fn is_published(&self) -> bool {
+        let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs).peekable();
+        runs.peek().is_some() && runs.all(|run| run.record.published)
     }
 
     /// The names of the experiments that have runs which count, in alphabetical order.

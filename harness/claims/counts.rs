@@ -51,6 +51,6 @@ impl fmt::Display for Counts {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let Self { holds, fails, undecided, untestable, missing, .. } = self;
         write!(f, "{holds} hold, {fails} do not hold, {undecided} undecided, {untestable} not testable")?;
-        if *missing > 0 { write!(f, ", {missing} without runs") } else { Ok(()) }
+        if *missing > 0 { write!(f, ", {missing} without data") } else { Ok(()) }
     }
 }

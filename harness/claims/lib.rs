@@ -411,7 +411,7 @@ impl fmt::Display for Verdict {
             }
             Self::NotTestable => "not testable",
             Self::Mixed => "undecided: settings differ",
-            Self::NoData => "undecided: no data",
+            Self::NoData => "no data",
         })
     }
 }

@@ -124,8 +124,8 @@ impl Claims {
     }
 
     /// Prints the counts, and a line with the verdicts on each claim. Each column has the judgments of a reading, of
-    /// the same claims and scenarios as the others.
-    fn print_short(columns: &[(&str, Vec<&Judgment>)]) {
+    /// the same claims and scenarios as the others. `explanation` says what the columns are.
+    fn print_short(columns: &[(&str, Vec<&Judgment>)], explanation: Option<&str>) {
         for (name, judgments) in columns {
             let name = if columns.len() > 1 { format!("{name}: ") } else { String::new() };
             print_text(&format!("{name}{}", Counts::of(judgments)));
@@ -154,6 +154,9 @@ impl Claims {
         print_grid(Grid { right: vec![false; header.len()], header, rows, ..Grid::default() });
         println!();
         print_text("--all prints the statements, values and requirements");
+        if let Some(columns) = explanation {
+            print_text(columns);
+        }
     }
 
     /// The experiments that claims name, as they are called in tables.
@@ -170,7 +173,9 @@ impl Claims {
         let claims = matrix.claims();
         let is_short = self.is_short(&claims);
         if is_short {
-            Self::print_short(&matrix.columns().collect::<Vec<_>>());
+            let columns: Vec<_> = matrix.columns().collect();
+            let each = columns.iter().map(|(name, _)| format!("{name}: {}", claims::described(spec, name)));
+            Self::print_short(&columns, Some(&each.collect::<Vec<_>>().join("; ")));
         } else {
             print_beside(spec, matrix);
         }
@@ -406,7 +411,7 @@ fn print_beside(spec: &Experiment, matrix: &Matrix) {
     }
     if !matrix.left_out.is_empty() {
         let claims = counted(matrix.left_out.len(), "claim");
-        print_text(&format!("{claims} without runs"));
+        print_text(&format!("{claims} without data"));
     }
     matrix.notes.iter().for_each(|note| print_text(note));
 }
@@ -655,7 +660,11 @@ fn lacking<'a>(judgments: &'a [&'a Judgment]) -> impl Iterator<Item = &'a String
 
 /// Prints the commands that make the runs of these experiments, each once.
 fn print_commands<'a>(runs: &Analysis, experiments: impl Iterator<Item = &'a String>, quick: bool) {
-    for experiment in experiments.collect::<BTreeSet<_>>() {
+    let experiments: BTreeSet<&String> = experiments.collect();
+    if runs.is_published() && !experiments.is_empty() {
+        print_text("no run is added to published results; these commands make runs in the folder results");
+    }
+    for experiment in experiments {
         match runs.command(experiment, quick) {
             Some(command) => print_command("for claims without data   ", &command),
             None => print_text(&format!("for claims without data   there is no spec called {experiment}")),
