@@ -830,6 +830,16 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare", "--task", "reconstruction", "--metrics", "wmape", "--output", "/dev/null/means.csv"],
             "error: no run has these metrics for this task and model; `harness --results ",
         ),
+        (
+            &RESULTS,
+            &["compare", "--horizon", "1,", "5"],
+            "error: invalid value '' for '--horizon <N>': a list has no spaces and no comma at its end, as in A,B\n",
+        ),
+        (
+            &RESULTS,
+            &["compare", "--metrics", "r2,", "rmse"],
+            "error: invalid value '' for '--metrics <METRIC>': a list has no spaces and no comma at its end",
+        ),
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
         (
             &RESULTS,

@@ -138,6 +138,20 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
         missing.contains("r2 of contact_force") && missing.contains("relative_error of frame_difference"),
         "{missing}"
     );
+    for (option, several, expected) in [
+        (
+            "--modality",
+            "contact_force,proprioception",
+            "a plot has one modality; --by modality distinguishes all of",
+        ),
+        ("--horizon", "1,5", "a plot has one horizon; --by horizon distinguishes all of them"),
+        ("--horizon", "0.5s", "it is a number of samples, not a time"),
+        ("--models", "network,", "a list has no spaces and no comma at its end"),
+        ("--by", "scenario,", "a list has no spaces and no comma at its end"),
+    ] {
+        let refusal = refused(&[option, several]);
+        assert!(refusal.contains(expected), "{refusal}");
+    }
     let ending = finish(&mut harness(&RESULTS, &[&asked[..], &["--output", "plot.pdf"]].concat()));
     assert!(ending.stderr.contains("must end in .svg, .png or .csv"), "{}", ending.stderr);
 }

@@ -5,7 +5,7 @@ use super::plot::key;
 use super::results::BY_UNIT;
 use super::sheet::{MOST_COLUMNS, Sheet, Style};
 use super::table::width;
-use super::{DONE, samples};
+use super::{DONE, item, samples};
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -37,11 +37,17 @@ pub struct Compare {
     /// experiment have several variants and one latent size]
     #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key(&Key::OF_COLUMNS))]
     by: Vec<Key>,
-    /// The metrics, separated by commas: r2, rmse, mae, smape, wmape, relative_error, relative_error_REGION for the
-    /// pixels of a region, such as finger, r2_KIND for a kind of contact, such as ground, r2_from_Ns for the samples
-    /// after N s, skill over persistence, skill_horizon, up to which the skill is positive, kl of the latent state, or
-    /// active, the number of its dimensions that are used
-    #[arg(long, value_name = "METRIC", value_delimiter = ',', default_value = USUAL)]
+    /// The metrics, separated by commas:
+    /// - r2, rmse, mae, smape, wmape, relative_error
+    /// - relative_error_REGION: only for the pixels of a region, such as finger
+    /// - r2_KIND: only for a kind of contact, such as ground
+    /// - r2_from_Ns: only for the samples after N s
+    /// - skill: that over persistence
+    /// - skill_horizon: the horizon up to which the skill is positive
+    /// - kl: that of the latent state
+    /// - active: the number of dimensions of the latent state that are used
+    /// - the metrics that you have added to runs, by their names
+    #[arg(verbatim_doc_comment, long, value_name = "METRIC", value_delimiter = ',', value_parser = item, default_value = USUAL)]
     metrics: Vec<String>,
     /// The models, separated by commas: network, which stands for all networks and models of other programs, the
     /// baselines persistence, ridge and training_mean, or the name of a model of another program
@@ -49,6 +55,7 @@ pub struct Compare {
         long,
         value_name = "MODEL",
         value_delimiter = ',',
+        value_parser = item,
         default_value = "network,persistence,ridge,training_mean"
     )]
     models: Vec<String>,
@@ -57,7 +64,7 @@ pub struct Compare {
     task: Option<String>,
     /// Compare only the predictions of these modalities, separated by commas, or of the part of one with one unit, for
     /// example "arm in rad" [default: all]
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = item)]
     modality: Vec<String>,
     /// Compare predictions N samples ahead. Several numbers, separated by commas, are rows [default: the next sample]
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = samples)]

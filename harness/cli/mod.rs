@@ -90,6 +90,7 @@ fn text_path(path: &str) -> Result<PathBuf, std::convert::Infallible> {
 
 /// Parses a number of samples. A time is refused with a word about the difference.
 fn samples(text: &str) -> Result<u32, String> {
+    item(text)?;
     if text.strip_suffix('s').is_some_and(|seconds| seconds.parse::<f64>().is_ok()) {
         return Err(
             "it is a number of samples, not a time; at the 10 samples per second of the built-in worlds, \
@@ -102,6 +103,14 @@ fn samples(text: &str) -> Result<u32, String> {
         .filter(|samples| *samples > 0)
         .ok_or("it must be a whole number of samples, at least 1".into())
 }
+
+/// Parses an item of a list that is separated by commas. An empty one is left where a shell divided the list.
+fn item(text: &str) -> Result<String, String> {
+    if text.is_empty() { Err(DIVIDED.into()) } else { Ok(text.to_owned()) }
+}
+
+/// Why an item of a list is empty.
+const DIVIDED: &str = "a list has no spaces and no comma at its end, as in A,B";
 
 /// A parser for names of shells, whose error lists all names.
 fn shell() -> impl TypedValueParser<Value = Shell> {

@@ -1,6 +1,7 @@
 //! `harness plot`.
 
 use super::DONE;
+use super::{DIVIDED, DONE, item, samples};
 use super::table::shown;
 use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
@@ -35,17 +36,17 @@ pub struct Plot {
     facet: Option<Key>,
     /// The models to plot, separated by commas: network, which stands for all networks and models of other programs,
     /// the baselines persistence, ridge and training_mean, or the name of a model of another program
-    #[arg(long, value_name = "MODEL", value_delimiter = ',', default_value = NETWORK)]
+    #[arg(long, value_name = "MODEL", value_delimiter = ',', value_parser = item, default_value = NETWORK)]
     models: Vec<String>,
     /// Plot only this task [default: prediction; both tasks if the plot distinguishes them]
     #[arg(long, value_parser = task())]
     task: Option<Task>,
     /// Plot predictions N samples ahead [default: the next sample; all horizons if the plot distinguishes them]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = one_horizon)]
     horizon: Option<u32>,
     /// Plot only this predicted modality, for example contact_force, or the part of it with one unit, for example
     /// "joints in rad"
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = one_modality)]
     modality: Option<String>,
     /// Use only runs with this setting, for example training.batch_size=64; may be given several times
     #[arg(long = "where", value_name = "KEY=VALUE")]
@@ -79,8 +80,8 @@ impl TypedValueParser for KeyParser {
             return Ok(key);
         }
         named.parse_ref(command, arg, value).map_err(|mut error| {
-            let settings = "settings of a spec are possible too, such as input or network.hidden";
-            let hint = StyledStr::from(settings);
+            let of_settings = "settings of a spec are possible too, such as input or network.hidden";
+            let hint = StyledStr::from(if value.is_empty() { DIVIDED } else { of_settings });
             error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![hint]));
             error
         })
@@ -89,6 +90,22 @@ impl TypedValueParser for KeyParser {
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
         Some(Box::new(self.named()))
     }
+}
+
+/// Parses the horizon of a plot.
+fn one_horizon(text: &str) -> Result<u32, String> {
+    if text.contains(',') {
+        return Err("a plot has one horizon; --by horizon distinguishes all of them".into());
+    }
+    samples(text)
+}
+
+/// Parses the name of a plot's modality.
+fn one_modality(text: &str) -> Result<String, String> {
+    if text.contains(',') {
+        return Err("a plot has one modality; --by modality distinguishes all of them".into());
+    }
+    Ok(text.to_owned())
 }
 
 /// A parser for names of tasks, whose error lists all names.
