@@ -8,7 +8,7 @@ use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
 use harness::learning::training::TOTAL;
-use harness::metrics::{Metric, best, rounded};
+use harness::metrics::{Metric, best, label, rounded};
 use harness::numbers::Natural;
 use harness::registry::{Registry, RunRecord};
 use harness::spec::{Task, model_parts};
@@ -187,30 +187,41 @@ pub struct Comparison {
     baseline: String,
     better: u32,
     outputs: u32,
+    /// The metrics that the outputs are compared by, in alphabetical order.
+    first_metric: String,
+    last_metric: String,
 }
 
 impl Comparison {
     /// Compares a run with each baseline: by R2, and for images by the relative error, on the test samples.
     pub fn all(registry: &Registry, is_run: impl Fn(&RunRecord) -> bool) -> Result<Vec<Self>> {
         let errors = format!(
-            "select model, modality, coalesce(direction, '') as part, \
+            "select model, modality, coalesce(direction, '') as part, metric, \
              case when metric = 'r2' then 1 - value else value end as error from metrics \
              where task = 'prediction' and {OVERALL} and metric in ('r2', 'relative_error') and value is not null"
         );
         let sql = format!(
             "with errors as ({errors}) select b.model as baseline, \
-             sum(case when n.error < b.error then 1 else 0 end) as better, count(*) as outputs \
+             sum(case when n.error < b.error then 1 else 0 end) as better, count(*) as outputs, \
+             min(n.metric) as first_metric, max(n.metric) as last_metric \
              from errors as n join errors as b on n.modality = b.modality and n.part = b.part \
              where n.model not in ({baselines}) and b.model in ({baselines}) group by b.model order by baseline",
             baselines = models::baselines_in_sql()
         );
         Ok(rows(&mut query_of(registry, is_run, &sql)?)?)
     }
+
+    /// The metrics that outputs are compared by, in words.
+    pub fn metrics(all: &[Self]) -> String {
+        let names = all.iter().flat_map(|one| [&one.first_metric, &one.last_metric]);
+        let names: BTreeSet<String> = names.map(|name| label(name, "1")).collect();
+        names.into_iter().collect::<Vec<_>>().join(" or ")
+    }
 }
 
 impl std::fmt::Display for Comparison {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let Self { baseline, better, outputs } = self;
+        let Self { baseline, better, outputs, .. } = self;
         let article = if baseline == models::TRAINING_MEAN { "the " } else { "" };
         write!(f, "{article}{} in {better} of {outputs}", baseline.replace('_', " "))
     }

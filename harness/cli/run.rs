@@ -363,8 +363,12 @@ fn comparable<'p, 'a>(plan: &'p [&'a Planned]) -> impl Iterator<Item = &'p [&'a 
 /// A line about the baselines that a run beats, if it is compared with any.
 fn baselines(registry: &Registry, experiment: &Experiment, run: &str) -> Result<Option<(String, String)>> {
     let is_run = |record: &RunRecord| record.experiment == experiment.name && record.run == run;
-    let beaten: Vec<String> = Comparison::all(registry, is_run)?.iter().map(Comparison::to_string).collect();
-    let line = || ("baselines".into(), format!("beats {} outputs", beaten.join(", ")));
+    let all = Comparison::all(registry, is_run)?;
+    let beaten: Vec<String> = all.iter().map(Comparison::to_string).collect();
+    let line = || {
+        let by = Comparison::metrics(&all);
+        ("baselines".into(), format!("beats {} outputs by {by}", beaten.join(", ")))
+    };
     Ok((!beaten.is_empty()).then(line))
 }
 
