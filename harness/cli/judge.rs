@@ -217,11 +217,13 @@ impl Task {
         let of = |modality: &Modality| task.dataset().layout().get(*modality).map(described);
         let inputs = spec.input.iter().filter_map(of).collect::<Vec<_>>();
         let outputs = spec.output.iter().filter_map(of).collect::<Vec<_>>();
-        let horizons: Vec<String> = spec.window.horizons().iter().map(usize::to_string).collect();
+        let horizons = spec.window.horizons();
+        let unit = if horizons[..] == [1] { "sample" } else { "samples" };
+        let horizons: Vec<String> = horizons.iter().map(usize::to_string).collect();
         lines.push(("inputs".to_owned(), inputs.join(", ")));
         lines.push(("outputs".to_owned(), outputs.join(", ")));
         lines.push(("context".to_owned(), counted(spec.window.context, "sample")));
-        lines.push(("horizons".to_owned(), format!("{} samples ahead", horizons.join(", "))));
+        lines.push(("horizons".to_owned(), format!("{} {unit} ahead", horizons.join(", "))));
         let split = format!(
             "by {}, {} for validation, {} for the test",
             spec.split.by, spec.split.validation, spec.split.test

@@ -153,6 +153,7 @@ impl Progress for Bars {
         let style = if *IS_UTF8 { style } else { style.progress_chars("#-") };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
+        let unit = if total == 1 { unit.strip_suffix('s').unwrap_or(unit) } else { unit };
         let (unit, note, last_shown) = (unit.into(), String::new(), Instant::now());
         *self.stage() = Some(Stage { name, unit, note, bar, taken, last_shown, resumed: 0, part: 0.0 });
     }

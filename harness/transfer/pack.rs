@@ -477,7 +477,7 @@ fn new_in<'a>(
 ) -> Result<New<'a>, PackError> {
     let (mut new, mut differing) = (New::default(), Vec::new());
     let folders = manifest.folders();
-    progress.begin("comparing", folders.len() as u64, "runs and datasets");
+    progress.begin("comparing", folders.len() as u64, "folders");
     for (folder, files) in folders {
         if progress.cancelled() {
             return Err(PackError::Cancelled);
