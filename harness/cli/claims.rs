@@ -36,7 +36,8 @@ pub struct Claims {
     /// Judge by the quick runs (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// Judge under each reading that the spec FILE lists, and print which readings change a verdict. Without FILE, the
@@ -99,7 +100,7 @@ impl Claims {
             return Ok(ExitCode::from(DONE));
         }
         if self.is_short(&chosen) {
-            Self::print_short(&[("verdict", judgments.clone())]);
+            Self::print_short(&[("verdict", judgments.clone())], None);
             runs.notes().iter().for_each(|note| print_text(note));
             print_missing(&runs, &judgments, self.quick)?;
             return Ok(ExitCode::from(DONE));
@@ -153,10 +154,10 @@ impl Claims {
             .collect();
         print_grid(Grid { right: vec![false; header.len()], header, rows, ..Grid::default() });
         println!();
-        print_text("--all prints the statements, values and requirements");
         if let Some(columns) = explanation {
             print_text(columns);
         }
+        print_text("--all prints the statements, values and requirements");
     }
 
     /// The experiments that claims name, as they are called in tables.

@@ -73,7 +73,8 @@ pub struct Compare {
     /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline
     #[arg(long, value_name = "COLUMN")]
     difference_from: Option<String>,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// In a text with many columns, also show the baselines that differ between columns, such as ridge for each input

@@ -44,7 +44,8 @@ pub struct Figures {
     /// contact_force, or the first modality where it is not predicted]
     #[arg(long, value_name = "NAME")]
     modality: Option<String>,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }

@@ -232,7 +232,7 @@ each network, and which datasets are being collected.")]
     #[command(after_help = "Example:
   harness diff smoke/empty smoke/cluttered
 
-The differences are in settings, code, versions and machine.")]
+The differences are in settings, worlds and metrics and, with --all, also in the versions and the machine.")]
     Diff(diff::Diff),
     /// Give runs a tag, or take it away
     #[command(after_help = "Examples:

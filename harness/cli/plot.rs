@@ -1,8 +1,7 @@
 //! `harness plot`.
 
-use super::DONE;
-use super::{DIVIDED, DONE, item, samples};
 use super::table::shown;
+use super::{DIVIDED, DONE, item, samples};
 use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::error::{ContextKind, ContextValue};
@@ -48,7 +47,8 @@ pub struct Plot {
     /// "joints in rad"
     #[arg(long, value_name = "NAME", value_parser = one_modality)]
     modality: Option<String>,
-    /// Use only runs with this setting, for example training.batch_size=64; may be given several times
+    /// Use only runs with this setting, for example training.batch_size=64; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
     /// The file to write: .svg, .png, or .csv with the numbers

@@ -27,7 +27,8 @@ pub struct Publish {
     /// Leave out a table; may be given several times
     #[arg(long, value_name = "TABLE", value_parser = optional())]
     without: Vec<Table>,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }

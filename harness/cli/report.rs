@@ -30,7 +30,8 @@ pub struct Report {
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
     settings: Vec<Setting>,
 }
