@@ -545,6 +545,11 @@ fn every_answer_says_how_far_ahead_its_predictions_are() {
     assert_eq!(next, compared(&["--format", "csv"]));
     assert!(plot("next.svg", &[]).contains("predictions of the next sample"));
     assert!(plot("further.svg", &["--horizon", "4"]).contains("predictions 4 samples (0.4 s) ahead"));
+    let run = succeed(&RESULTS, &RUN).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        run.contains("means over up to 2 runs, which differ in their seeds; predictions of the next"),
+        "{run}"
+    );
     let said = compared(&[]).split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(
         said.contains("predictions of the next sample; `compare --horizon N` shows those up to 4"),

@@ -36,6 +36,8 @@ struct Row {
     persistence: Option<f64>,
     ridge: Option<f64>,
     training_mean: Option<f64>,
+    /// The number of runs that the means are over.
+    runs: usize,
 }
 
 /// Which metrics a table has.
@@ -58,7 +60,7 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     };
     let cell = "task, scenario, variant, latent, modality, direction, metric, unit";
     let sql = format!(
-        "select {cell}, {} from metrics where {chosen} group by {cell} \
+        "select {cell}, count(distinct run) as runs, {} from metrics where {chosen} group by {cell} \
          order by task, scenario desc, variant, latent, modality, direction, metric",
         means.join(", ")
     );
@@ -90,8 +92,10 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let by_unit = rows.iter().any(is_part).then(|| BY_UNIT.to_owned());
     let records = registry.records();
+    let most = rows.iter().map(|row| row.runs).max().filter(|runs| *runs > 1);
+    let means = most.map(|runs| format!("means over up to {runs} runs, which differ in their seeds"));
     let further = of_next_sample(records.iter().filter(|record| is_wanted(record)));
-    let notes = by_unit.into_iter().chain(further).chain(undefined(&rows)).collect();
+    let notes = means.into_iter().chain(by_unit).chain(further).chain(undefined(&rows)).collect();
     Ok(Sheet {
         titles: 4,
         header,
