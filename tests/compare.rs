@@ -732,7 +732,8 @@ fn what_does_not_change_in_the_test_samples_is_named() {
     assert!(checked.contains("note: 'contact_force' is 0 in "), "{checked}");
     assert!(!checked.contains("'joints' does not change"), "{checked}");
     let spec = "name: pendulum\nscenarios: [pendulum.yaml]\ninput: [joints]\noutput: [contact_force]\nlatent: 2\n\
-                network: {preset: single_to_multi, hidden: [4]}\ntasks: [prediction]\nwindow: {horizon: 4}\n\
+                network: {preset: single_to_multi, hidden: [4], memory: gru}\ntasks: [prediction]\n\
+                window: {horizon: 4, context: 2}\n\
                 simulation: {episodes: 4, actuations_per_episode: 2}\ntraining: {epochs: 1, batch_size: 16}\n";
     std::fs::write(path("spec.yaml"), spec).unwrap();
     let is = "contact_force is 0 in all test samples, so its r2 ";
