@@ -1653,8 +1653,8 @@ fn every_experiment_here_loads_under_its_file_name() {
         if path.extension().is_some_and(|extension| extension == "yaml") && !path.ends_with("claims.yaml") {
             let stem = path.file_stem().unwrap().to_str().unwrap();
             for quick in [false, true] {
-                // The smoke experiment has no `quick` settings.
-                if stem == "smoke" && quick {
+                // These take seconds, so they have no `quick` settings.
+                if ["first", "smoke"].contains(&stem) && quick {
                     continue;
                 }
                 let experiment = spec::load(&path, &[], quick).unwrap_or_else(|error| panic!("{error}"));
