@@ -51,8 +51,11 @@ const ARM: &str = "<body pos='0 0 1'><joint name='x' axis='0 1 0'/><geom size='.
                    <body pos='.3 0 0'><joint name='y' type='slide' axis='1 0 0' range='-.1 .1'/><geom size='.05'/>\
                    </body></body>";
 
-/// Models: the elements of `<worldbody>`, the elements after it, lines of the world file, and words of its check.
-const WALLS: [(&str, &str, &str, &[&str], &[&str]); 10] = [
+/// A model: what it shows, the elements of `<worldbody>`, the elements after it, lines of the world file, and words of
+/// its check.
+type Wall = (&'static str, &'static str, &'static str, &'static [&'static str], &'static [&'static str]);
+
+const WALLS: [Wall; 10] = [
     (
         "what has no name is called by its number",
         "<body pos='0 0 1'><joint axis='0 1 0'/><geom size='.05'/><site name='s'/><body pos='.3 0 0'>\

@@ -157,7 +157,7 @@ fn every_command_takes_paths_as_they_are() {
         assert_eq!(answer.code, 0, "{command:?}: {}", answer.stderr);
         place.said += &format!("{}{}\n", answer.stdout, answer.stderr);
     }
-    assert_eq!(fs::read(place.path("network.onnx")).unwrap().is_empty(), false);
+    assert!(!fs::read(place.path("network.onnx")).unwrap().is_empty());
 
     // Wrong names and damaged files, for what is suggested then.
     for wrong in [

@@ -21,7 +21,7 @@ impl Scene {
         let Err(MjEditError::XmlBufferTooSmall { required_size }) = spec.save_xml_string(1) else {
             return None;
         };
-        let xml = spec.save_xml_string(required_size as usize + 1).ok()?;
+        let xml = spec.save_xml_string(required_size + 1).ok()?;
         let contents: String = self.contents().map(|content| format!("    {content}\n")).collect();
         match xml.rsplit_once("</mujoco>") {
             Some((xml, _)) if !contents.is_empty() => {
