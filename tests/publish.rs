@@ -291,7 +291,7 @@ fn what_cannot_be_published_is_refused() {
         (
             ["publish", "smok", "--output", "nowhere"],
             2,
-            "error: 'smok' has no finished runs; those that have: smoke, sweep\n",
+            "error: 'smok' has no finished runs; did you mean 'smoke'? Those that have: smoke, sweep\n",
         ),
         (
             ["publish", "smoke", "--output", inside],

@@ -529,8 +529,8 @@ fn a_report_of_an_unknown_experiment_only_says_which_there_are() {
     let out = RESULTS.join("unknown.html");
     let arguments = ["report", "multi_to_mlti", "--output", out.to_str().unwrap()];
     let answer = finish(&mut harness(&RESULTS, &arguments));
-    let expected =
-        "error: 'multi_to_mlti' has no finished runs; those that have: multi_to_multi, single_to_multi\n";
+    let expected = "error: 'multi_to_mlti' has no finished runs; did you mean 'multi_to_multi'? Those that have: \
+                    multi_to_multi, single_to_multi\n";
     assert_eq!((answer.stdout.as_str(), answer.stderr.as_str()), ("", expected));
     assert!(answer.code != 0 && !out.exists());
 }

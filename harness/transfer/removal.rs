@@ -1,7 +1,7 @@
 //! The space that results take, and the removal of runs and datasets.
 
 use harness_dataset::Dataset;
-use harness_registry::{Registry, RegistryError, RunRecord, Status, WorldOf};
+use harness_registry::{Outdated, Registry, RegistryError, RunRecord, Status, WorldOf};
 use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, abandoned, folders, remove_abandoned};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};
@@ -107,9 +107,7 @@ pub fn usage(registry: &Registry) -> Vec<Usage> {
 pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removable)> {
     let recorded = registry.recorded();
     let outdated = registry.outdated(&recorded);
-    // A run in another version of the world supersedes none that counts.
-    let counting = recorded.iter().map(|(_, record)| record).filter(|record| !outdated.has(record));
-    let superseded = superseded(counting);
+    let superseded = superseded(recorded.iter().map(|(_, record)| record), &outdated);
     let mut found = Vec::new();
     let mut used = BTreeSet::new();
     for (folder, record) in &recorded {
@@ -195,20 +193,19 @@ fn remove_empty(registry: &Registry, folder: &Path) {
     }
 }
 
-/// The names of finished runs that have a later run with the same settings in the same world.
-fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeSet<String> {
-    let mut latest: BTreeMap<(&str, &str, WorldOf), &RunRecord> = BTreeMap::new();
+/// The names of finished runs that have a later run with the same settings in the same world. A run whose world has
+/// changed since supersedes none that counts.
+fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>, outdated: &Outdated) -> BTreeSet<String> {
+    let place = |record: &RunRecord| (!outdated.has(record), record.started.clone());
+    let mut kept: BTreeMap<(&str, &str, WorldOf), &RunRecord> = BTreeMap::new();
     let mut superseded = BTreeSet::new();
     for record in records.filter(|record| record.status == Status::Done) {
         let key = (record.experiment.as_str(), record.spec_hash.as_str(), record.world());
-        let older = match latest.get(&key) {
-            Some(other) if other.started > record.started => record,
-            _ => match latest.insert(key, record) {
-                Some(other) => other,
-                None => continue,
-            },
+        let other = match kept.get(&key) {
+            Some(other) if place(other) > place(record) => Some(record),
+            _ => kept.insert(key, record),
         };
-        superseded.insert(older.name());
+        superseded.extend(other.map(RunRecord::name));
     }
     superseded
 }
