@@ -93,7 +93,7 @@ def test_the_bytes_are_those_of_any_number_of_workers(tmp_path: Path) -> None:
         assert made == 4
         folders.append(folder)
     first = files(folders[0])
-    assert len(first) == 5
+    assert len(first) == 6  # four episodes, the description and the model
     assert all(files(folder) == first and folder.name == folders[0].name for folder in folders[1:])
     assert collect(tmp_path / "2", drift, 2) == {folders[1]: 0}
 

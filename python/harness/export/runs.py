@@ -34,6 +34,9 @@ TAGS = (
 )
 """The columns of the table `runs` that become tags."""
 
+_BASELINES = ("persistence", "ridge", "training_mean")
+"""The models that every run is compared with."""
+
 
 @dataclass(frozen=True)
 class Point:
@@ -141,9 +144,10 @@ class Run:
     def metrics(self) -> dict[str, float]:
         """Returns the metrics over all joints, links or pixels, on the test samples, of network and baselines.
 
-        A model of another program is called `network` too, so that charts of runs have both. A name is `network/prediction/contact_force/mae`, followed by `.` and a direction, by `.h5` for 5 samples ahead,
-        and by `.given-arm-proprioception` for a model that got only these inputs. MLflow stores metrics in files, so no
-        name may be that of another one's folder.
+        A model of another program is called `network` too, so that charts of runs have both. A name is
+        `network/prediction/contact_force/mae`, followed by `.` and a direction, by `.h5` for 5 samples ahead, and by
+        `.given-arm-proprioception` for a model that got only these inputs. MLflow stores metrics in files, so no name
+        may be that of another one's folder.
         """
         key = "model, task, modality, metric, direction, horizon, given"
         found = {}
