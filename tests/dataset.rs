@@ -135,7 +135,7 @@ fn factors_are_the_same_bytes_for_any_threads_and_interruptions() {
         (contents(dataset.folder()), dataset, root)
     };
     let ((one, dataset, _root), (two, ..)) = (collected(1), collected(2));
-    assert_eq!(one.len(), 6, "four episodes, a description and a lock");
+    assert_eq!(one.len(), 7, "four episodes, a description, a model and a lock");
     for (name, bytes) in &one {
         assert!(*bytes == two[name], "{name} differs");
     }
@@ -277,7 +277,10 @@ fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
     assert!(matches!(error, CollectionError::Simulation(SimulationError::Diverged { .. })), "{error}");
     assert!(error.to_string().contains("diverged"), "{error}");
     let lock = format!("{UNFINISHED}lock");
-    assert_eq!(contents(dataset.folder()).into_keys().collect::<Vec<_>>(), [&lock, "dataset.json"]);
+    assert_eq!(
+        contents(dataset.folder()).into_keys().collect::<Vec<_>>(),
+        [&lock, "dataset.json", "model.xml"]
+    );
     assert_eq!(dataset.missing(), [0, 1, 2, 3]);
 }
 

@@ -65,7 +65,8 @@ impl Tracks {
 }
 
 /// Returns the state of a network that has seen the windows until the present samples `at`, which are in ascending
-/// order, and the divergence of each dimension of their latent states, `[at, latent]`, in nats.
+/// order, and the divergence of each dimension of their latent states, `[at, latent]`, in nats; `None` for a network
+/// that gives none.
 ///
 /// # Errors
 /// Those of the network.
@@ -75,7 +76,7 @@ fn present(
     input: &[Modality],
     window: &Window,
     at: &[Sample],
-) -> Result<(State, Tensor)> {
+) -> Result<(State, Option<Tensor>)> {
     let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
     let longest = tracks.tracks.iter().map(|track| track.samples).max().unwrap_or_default();
     let all: BTreeSet<Sample> = (0..longest).flat_map(|distance| tracks.at(distance)).collect();
@@ -96,8 +97,9 @@ fn present(
         let (indices, rows): (Vec<usize>, Vec<u32>) = tracks.wanted(distance).unzip();
         if !rows.is_empty() {
             states.push(seen.state.rows(&rows)?);
-            let Some(all) = &seen.divergences else { candle_core::bail!("the network has no divergences") };
-            divergences.push(all.index_select(&Tensor::new(rows, all.device())?, 0)?);
+            if let Some(all) = &seen.divergences {
+                divergences.push(all.index_select(&Tensor::new(rows, all.device())?, 0)?);
+            }
             order.extend(indices);
         }
         if distance + 1 < longest {
@@ -106,9 +108,9 @@ fn present(
     }
     let mut rows = vec![0; order.len()];
     order.into_iter().enumerate().for_each(|(row, index)| rows[index] = row as u32);
-    let divergences = Tensor::cat(&divergences, 0)?;
-    let in_order = Tensor::new(&*rows, divergences.device())?;
-    Ok((State::joined(&states)?.rows(&rows)?, divergences.index_select(&in_order, 0)?))
+    let in_order = |all: Tensor| all.index_select(&Tensor::new(&*rows, all.device())?, 0);
+    let divergences = (!divergences.is_empty()).then(|| Tensor::cat(&divergences, 0).and_then(in_order));
+    Ok((State::joined(&states)?.rows(&rows)?, divergences.transpose()?))
 }
 
 /// The latent states of a network at all samples. At the first ones of an episode, the context is as long as it can be.
@@ -181,7 +183,9 @@ impl TrainedNetwork<'_> {
         let Self { data, network, input, window, .. } = self;
         let mut sums: Vec<f64> = Vec::new();
         for part in at.chunks(BATCH) {
-            let (_, divergences) = present(&**network, data, input, window, part)?;
+            let (_, Some(divergences)) = present(&**network, data, input, window, part)? else {
+                return Ok(Vec::new());
+            };
             let of_part = divergences.to_dtype(DType::F64)?.sum(0)?.to_vec1::<f64>()?;
             sums.resize(of_part.len(), 0.0);
             sums.iter_mut().zip(of_part).for_each(|(sum, more)| *sum += more);

@@ -74,6 +74,11 @@ def main(results: Path, answers: Path) -> None:
         for name, kind in database.execute(f"select name, type from pragma_table_info('{table}')").fetchall():
             if kind == "FLOAT":
                 database.execute(f'alter table {table} alter "{name}" type double')
+    # In published rows, models of other programs are called networks. They have no latent state.
+    external = "model = 'network' and latent is null"
+    database.execute("alter table metrics add column trained_here boolean")
+    database.execute(f"update metrics set trained_here = model = 'network' and not ({external})")
+    database.execute(f"update metrics set model = architecture where {external}")
     runs = str(answers / "runs.parquet")
     database.execute("create table runs as select * from read_parquet($runs)", {"runs": runs})
     found = []
