@@ -34,8 +34,11 @@ pub const OVERALL: &str = "index is null and (direction is null or direction lik
 /// When the SQL is invalid or not supported, names a table or column that does not exist, or when a table's file is
 /// damaged.
 pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
-    let answer = query_of(registry, |_| true, sql)?;
-    mention_outdated(registry, &registry.recorded(), &Query::parse(sql)?);
+    let query = Query::parse(sql)?;
+    let answer = answer_for(registry, |_| true, &query)?;
+    if !tells_versions_apart(&query) {
+        mention_outdated(registry, &registry.recorded(), &query);
+    }
     Ok(answer)
 }
 
@@ -44,17 +47,23 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
 /// # Errors
 /// Like [`query`].
 pub fn query_all(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
-    let answer = query_recorded(registry, runs, sql)?;
-    mention_outdated(registry, runs, &Query::parse(sql)?);
+    let query = Query::parse(sql)?;
+    let answer = answer_of(registry, runs, &query)?;
+    if !tells_versions_apart(&query) {
+        mention_outdated(registry, runs, &query);
+    }
     Ok(answer)
 }
 
-/// Remembers that a query sees runs in several versions of a world, unless it tells them apart.
+/// Whether a query tells the versions of a world apart.
+fn tells_versions_apart(query: &Query) -> bool {
+    query.names().contains("world_version")
+}
+
+/// Remembers that a query sees runs in several versions of a world.
 fn mention_outdated(registry: &Registry, runs: &[Recorded], query: &Query) {
-    if !query.names().contains("world_version") {
-        let seen = runs.iter().map(|(_, record)| record).filter(|record| sees(query, record));
-        registry.mention_outdated(&registry.outdated(runs), seen);
-    }
+    let seen = runs.iter().map(|(_, record)| record).filter(|record| sees(query, record));
+    registry.mention_outdated(&registry.outdated(runs), seen);
 }
 
 /// Whether a query may see rows of a run.
@@ -76,10 +85,17 @@ pub fn query_of(
     is_wanted: impl Fn(&RunRecord) -> bool,
     sql: &str,
 ) -> Result<DataFrame, QueryError> {
-    let query = Query::parse(sql)?;
+    answer_for(registry, is_wanted, &Query::parse(sql)?)
+}
+
+fn answer_for(
+    registry: &Registry,
+    is_wanted: impl Fn(&RunRecord) -> bool,
+    query: &Query,
+) -> Result<DataFrame, QueryError> {
     loop {
         let runs = registry.recorded().into_iter().filter(|(_, record)| is_wanted(record));
-        match answer_of(registry, &runs.collect::<Vec<_>>(), &query) {
+        match answer_of(registry, &runs.collect::<Vec<_>>(), query) {
             // Another process has removed a run since its record was read.
             Err(error) if error.is_of_removed_run() => {}
             answered => return answered,

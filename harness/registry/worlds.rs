@@ -79,12 +79,9 @@ impl Registry {
         outdated: &Outdated,
         records: impl IntoIterator<Item = &'a RunRecord>,
     ) {
-        for (scenario, note) in outdated.notes(records) {
-            let remove = self.command("gc --only world");
-            let select = "--where world=VERSION selects a version";
-            let note = format!("left out: {note}; `{remove}` removes them, and {select}");
-            self.leave_out(&self.root.join("worlds").join(scenario), note);
-        }
+        self.note_outdated(outdated, records, |note, remove| {
+            format!("left out: {note}; `{remove}` removes them, and --where world=VERSION selects a version")
+        });
     }
 
     /// Remembers that a query also sees these runs, for the message about what was left out.
@@ -93,11 +90,23 @@ impl Registry {
         outdated: &Outdated,
         records: impl IntoIterator<Item = &'a RunRecord>,
     ) {
-        for (scenario, note) in outdated.notes(records) {
-            let remove = self.command("gc --only world");
+        self.note_outdated(outdated, records, |note, remove| {
             let distinguish = "the column world_version of the table runs tells them apart";
-            let note = format!("the query also sees {note}; {distinguish}, and `{remove}` removes them");
-            self.leave_out(&self.root.join("worlds").join(scenario), note);
+            format!("the query also sees {note}; {distinguish}, and `{remove}` removes them")
+        });
+    }
+
+    /// Remembers a message for each world of these runs. `message` makes it of what the runs are and of the command that
+    /// removes them.
+    fn note_outdated<'a>(
+        &self,
+        outdated: &Outdated,
+        records: impl IntoIterator<Item = &'a RunRecord>,
+        message: impl Fn(&str, &str) -> String,
+    ) {
+        let remove = self.command("gc --only world");
+        for (scenario, note) in outdated.notes(records) {
+            self.leave_out(&self.root.join("worlds").join(scenario), message(&note, &remove));
         }
     }
 }

@@ -196,7 +196,7 @@ fn remove_empty(registry: &Registry, folder: &Path) {
 /// The names of finished runs that have a later run with the same settings in the same world. A run whose world has
 /// changed since supersedes none that counts.
 fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>, outdated: &Outdated) -> BTreeSet<String> {
-    let place = |record: &RunRecord| (!outdated.has(record), record.started.clone());
+    let place = |record: &'a RunRecord| (!outdated.has(record), record.started.as_str());
     let mut kept: BTreeMap<(&str, &str, WorldOf), &RunRecord> = BTreeMap::new();
     let mut superseded = BTreeSet::new();
     for record in records.filter(|record| record.status == Status::Done) {
