@@ -383,7 +383,7 @@ fn normalized_values_restore_to_what_was_recorded() {
     let at = samples.partition(&Split::default(), &Window::TRANSITION).unwrap().training;
     let scalings = Modality::BUILT_IN
         .iter()
-        .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
+        .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap()))
         .collect();
     let normalizers = Arc::new(Normalizers::fit(&samples, &at, &scalings, Action::Increment));
     for modality in Modality::BUILT_IN.iter().copied() {
@@ -724,7 +724,8 @@ fn pixel_means_and_one_deviation_scale_frames_for_any_threads() {
     let samples = ramps(0, &[3000, 3000]);
     let at = at((0..6000).filter(|sample| sample % 7 != 0));
     for modality in [Modality::VISION, Modality::FRAME_DIFFERENCE] {
-        let scalings = Scalings::from([(modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap())]);
+        let scalings =
+            Scalings::from([(modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap())]);
         let fit = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| Normalizers::fit(&samples, &at, &scalings, Action::Increment))

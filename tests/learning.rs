@@ -694,7 +694,7 @@ impl Bench {
         let partition = samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
         let scalings = Modality::BUILT_IN
             .iter()
-            .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap()))
+            .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap()))
             .collect();
         let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
         let data = NormalizedData {

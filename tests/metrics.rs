@@ -6,7 +6,7 @@ use harness_metrics::contact::{Contact, by_link};
 use harness_metrics::parts::{class_of, in_either, region_of};
 use harness_metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
 use harness_metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
-use harness_spec::{Definition, Layout, Modality};
+use harness_spec::{Definition, Element, Layout, Modality};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -114,6 +114,23 @@ fn undefined_metrics_are_none() {
     assert_close(mae(&untouched), 0.5 / 3.0);
     // 0.1 has no exact binary form. In spite of rounding, a constant must count as constant.
     assert_eq!(r2(&series(&[0.1; 1000], &[0.2; 1000])), None);
+}
+
+#[test]
+fn round_off_has_no_r2() {
+    let angle = |name: &str| Element { name: name.into(), unit: "rad".into() };
+    let definition = Definition::vector(Modality::PROPRIOCEPTION, "", vec![angle("a"), angle("b")]);
+    // The second angle is round-off: of its own value, and of what the first one was computed with.
+    for still in [[5.0, f32::from_bits(5.0_f32.to_bits() + 1)], [1e-18, -1e-18]] {
+        let reference = [1.0, still[0], 2.0, still[1]];
+        let r2: Vec<Option<f64>> = evaluate(&definition, &reference, &[1.0, 1.0, 2.0, 1.0])
+            .unwrap()
+            .into_iter()
+            .filter(|row| row.metric == Metric::R2)
+            .map(|row| row.value)
+            .collect();
+        assert_eq!(r2, [Some(1.0), Some(1.0), None]);
+    }
 }
 
 #[test]

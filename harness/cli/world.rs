@@ -252,6 +252,11 @@ fn render_cameras(scene: &Scene, folder: &Path) -> Result<()> {
     for modality in scene.rendered() {
         write(SceneRenderer::as_recorded(scene, Some(modality.name()))?, format!("as_seen_{modality}"))?;
     }
+    if scene.camera_names().is_empty() {
+        print_text(
+            "note: the model has no camera, so --render writes no picture; `harness render` shows the scene",
+        );
+    }
     Ok(())
 }
 

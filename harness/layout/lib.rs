@@ -9,4 +9,4 @@ pub use episode::{Episode, Pose};
 pub use harness_yaml::is_name;
 pub use modality::*;
 pub use name::intern;
-pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings, scalings_schema};
+pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings, present, scalings_schema};

@@ -317,9 +317,11 @@ impl Definition {
         units
     }
 
-    /// Returns whether the values are contact forces. The table `forces` holds their distribution.
+    /// Returns whether forces were sensed: a vector in N that is neither the setpoint nor the drawn factors. The table
+    /// `forces` holds their distribution.
     pub fn is_force(&self) -> bool {
-        !self.is_image() && self.unit() == Some("N")
+        let is_given = [Modality::SETPOINT, Modality::FACTORS].contains(&self.name);
+        !is_given && !self.is_image() && self.unit() == Some("N")
     }
 
     /// Returns the modality that tells the kind of contact of each element: 0 without a contact, k for the contact kind

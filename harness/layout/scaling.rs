@@ -35,7 +35,11 @@ pub struct GivenScaling {
 /// The scaling of modalities as given in a spec.
 pub type GivenScalings = BTreeMap<Modality, GivenScaling>;
 
-fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
+/// Reads a key that is there: `Some(None)` for `null`. A key that may be missing also has `#[serde(default)]`.
+///
+/// # Errors
+/// When the value is neither a number nor `null`.
+pub fn present<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
     Option::deserialize(deserializer).map(Some)
 }
 

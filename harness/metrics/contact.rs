@@ -9,14 +9,14 @@ pub const QUANTILES: [(&str, f64); 5] =
 pub struct Contact {
     /// Number of samples.
     pub samples: usize,
-    /// Number of samples in which the force is above 0.
+    /// Number of samples in which the force is not 0. It is negative where adhesion pulls.
     pub contacts: usize,
     /// Mean force over all samples, N.
     pub mean: f64,
     /// [`QUANTILES`] of the force over the samples in contact, N, interpolated linearly as in NumPy; `None` without
     /// contact.
     pub quantiles: Option<[f64; QUANTILES.len()]>,
-    /// Largest force, N; `None` without contact.
+    /// Largest force in contact, N; `None` without contact.
     pub max: Option<f64>,
 }
 
@@ -31,7 +31,7 @@ fn of(forces: impl Iterator<Item = f64>) -> Contact {
     for force in forces {
         samples += 1;
         sum += force;
-        if force > 0.0 {
+        if force != 0.0 {
             touching.push(force);
         }
     }

@@ -25,6 +25,7 @@ pub use words::{best, higher_is_better, label, rounded};
 
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, intern};
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::str::FromStr;
 
 const RELATIVE_ERROR: &str = "relative_error";
@@ -311,6 +312,7 @@ impl Evaluation {
     /// A pooled value is computed from the added sums of its series, see [`series`].
     pub fn rows(&self) -> Vec<Row> {
         let metrics = Metric::of(&self.definition);
+        let mean_squares = self.mean_squares();
         let mut found = Vec::new();
         for Group { direction, index, elements } in self.groups() {
             let mut add = |metric: Metric, base: Metric, series: &[Series]| {
@@ -324,12 +326,14 @@ impl Evaluation {
                     unit: self.unit(base, &elements),
                 });
             };
-            let all: Vec<Series> = elements.iter().map(|element| self.columns[*element]).collect();
+            let mean_square = mean_squares[&self.definition.unit_of(&elements)];
+            let all = elements.iter().map(|element| self.columns[*element].without_round_off(mean_square));
+            let all: Vec<Series> = all.collect();
             let regions: Vec<(&str, Vec<Series>)> = self
                 .regions
                 .iter()
                 .filter(|_| index.is_none())
-                .map(|region| (region.name.as_str(), self.pooled(region, &elements)))
+                .map(|region| (region.name.as_str(), self.pooled(region, &elements, mean_square)))
                 .collect();
             for metric in &metrics {
                 add(*metric, *metric, &all);
@@ -359,12 +363,25 @@ impl Evaluation {
         }
     }
 
-    /// Returns the sums of a region over some elements.
-    fn pooled(&self, region: &RegionSums, elements: &[usize]) -> Vec<Series> {
+    /// Returns the sums of a region over some elements, without round-off in a modality of this mean square.
+    fn pooled(&self, region: &RegionSums, elements: &[usize], mean_square: f64) -> Vec<Series> {
         match self.definition.is_image() {
             true => region.series.clone(),
-            false => elements.iter().map(|element| region.series[*element]).collect(),
+            false => {
+                let series = elements.iter().map(|element| region.series[*element]);
+                series.map(|series| series.without_round_off(mean_square)).collect()
+            }
         }
+    }
+
+    /// Returns the largest mean square of the references of the elements with each unit.
+    fn mean_squares(&self) -> HashMap<Option<&str>, f64> {
+        let mut largest = HashMap::new();
+        for (element, series) in self.columns.iter().enumerate() {
+            let own = largest.entry(self.definition.unit_of(&[element])).or_insert(0.0);
+            *own = f64::max(*own, series.mean_square());
+        }
+        largest
     }
 
     /// Returns the unit of a metric of some elements that does not belong to a region.

@@ -4,6 +4,10 @@
 //! Several series are pooled: their sums are added before the formula is applied. The result is `None` where the
 //! formula would divide by zero, so it is never infinite.
 
+/// The relative precision of recorded values: a 32-bit number differs from the value by up to half of this part of it
+/// (Higham, 2002, *Accuracy and Stability of Numerical Algorithms*, section 2.2).
+const PRECISION: f64 = f32::EPSILON as f64;
+
 /// Sums over the pairs (r, p) of one joint, link or pixel value, in f64.
 ///
 /// Pairs can be collected from an iterator, or added one at a time if they don't fit in memory.
@@ -37,6 +41,18 @@ impl Series {
         let from_old_mean = r - self.reference_mean;
         self.reference_mean += from_old_mean / self.count;
         self.squared_deviation += from_old_mean * (r - self.reference_mean);
+    }
+
+    /// Returns the mean square of the reference; 0 without pairs.
+    pub(super) fn mean_square(&self) -> f64 {
+        ratio(self.squared_reference, self.count).unwrap_or(0.0)
+    }
+
+    /// Returns the series, with a constant reference if its standard deviation is only round-off: at most `PRECISION`
+    /// of the magnitude of what was computed with it, whose mean square is `mean_square`.
+    pub(super) fn without_round_off(self, mean_square: f64) -> Self {
+        let is_round_off = self.squared_deviation <= self.count * mean_square * PRECISION.powi(2);
+        Self { squared_deviation: if is_round_off { 0.0 } else { self.squared_deviation }, ..self }
     }
 }
 

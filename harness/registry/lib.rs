@@ -149,6 +149,11 @@ impl Registry {
         self.root.join("specs").join(format!("{dataset}.yaml"))
     }
 
+    /// The file of the compiled model that a simulated dataset has, as MJCF. Datasets of earlier versions lack it.
+    pub fn model(&self, dataset: &str) -> PathBuf {
+        self.datasets().join(dataset).join(harness_dataset::MODEL)
+    }
+
     /// The folder that contains all runs.
     pub fn runs(&self) -> PathBuf {
         self.root.join("runs")

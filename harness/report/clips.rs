@@ -7,6 +7,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_analysis::Analysis;
 use harness_figures::FigureError;
+use harness_registry::Registry;
 use harness_shared::progress::Progress;
 use harness_simulation::{EpisodePlan, Scene, SceneRenderer, SimulationError, replay};
 use harness_spec::{Layout, Origin, Scenario, Simulation, World};
@@ -35,6 +36,8 @@ pub struct Shot {
     pub scenario: Scenario,
     /// The world's file; `None` for a built-in world.
     file: Option<PathBuf>,
+    /// The model with which the dataset was simulated; `None` if the dataset lacks it.
+    model: Option<PathBuf>,
     /// The settings of the simulation.
     simulation: Simulation,
     /// The modalities of the runs' samples; `None` for a scene of the paper, which needs no runs.
@@ -44,7 +47,7 @@ pub struct Shot {
 impl Shot {
     /// A scene of the paper.
     pub fn of_the_paper(scenario: Scenario) -> Self {
-        Self { scenario, file: None, simulation: Simulation::default(), layout: None }
+        Self { scenario, file: None, model: None, simulation: Simulation::default(), layout: None }
     }
 
     /// The worlds of the asked experiments that are none of the paper's scenes.
@@ -57,7 +60,9 @@ impl Shot {
             let file = record.provenance.world_file.clone();
             let is_known = |shot: &Shot| shot.scenario == scenario && shot.file == file;
             if !is_of_the_paper(&record.spec.scenario) && !shots.iter().any(is_known) {
-                shots.push(Self { scenario, file, simulation, layout: Some(record.layout.clone()) });
+                let model =
+                    Some(Registry::new(analysis.root()).model(&record.dataset)).filter(|path| path.exists());
+                shots.push(Self { scenario, file, model, simulation, layout: Some(record.layout.clone()) });
             }
         }
         shots
@@ -69,7 +74,12 @@ impl Shot {
             Some(file) => World::load(file),
             None => World::find(self.scenario.name()),
         };
-        let scene = Scene::new(world.map_err(SimulationError::from)?)?;
+        let world = world.map_err(SimulationError::from)?;
+        let stored = self.model.as_ref().and_then(|path| Some((std::fs::read_to_string(path).ok()?, path)));
+        let scene = match stored {
+            Some((xml, path)) => Scene::from_xml(world, &xml, path.display().to_string())?,
+            None => Scene::new(world)?,
+        };
         let is_changed =
             self.layout.as_ref().is_some_and(|layout| *layout != scene.layout_of(&self.simulation));
         match is_changed {

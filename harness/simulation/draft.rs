@@ -150,14 +150,22 @@ impl Draft<'_> {
         let model = self.model;
         let links = self.touching(|joint| !is_free(model, joint));
         let others = self.touching(|joint| is_free(model, joint));
-        self.vectors("contact_force", "normal_force", &links);
+        // A force that adhesion can make negative has no lower bound.
+        let force = |names: &[String]| {
+            let minimum = model.flg_adhesion().then(|| ("minimum", "null".to_owned()));
+            [("normal_force", list(names))].into_iter().chain(minimum).collect::<Vec<_>>()
+        };
         let flexes = self.all(FLEX, |_| true);
-        self.vectors("flex_force", "normal_force", &flexes);
+        for (name, names) in [("contact_force", &links), ("flex_force", &flexes)] {
+            if !names.is_empty() {
+                self.entry(name, &force(names));
+            }
+        }
         if !others.is_empty() {
             self.comment(
                 "Left out, because a free joint moves them. To record the forces on them, remove the #:",
             );
-            self.optional("other_contact_force", "normal_force", &others);
+            self.optional_entry("other_contact_force", &force(&others));
         }
     }
 
@@ -227,7 +235,7 @@ impl Draft<'_> {
                 self.comment("More cameras. To record their images, remove the # from these lines:");
             }
             let image = [("camera", quoted(&name)), ("size", size)];
-            let change = [("difference_of", modality.clone())];
+            let change = [("difference_of", plain(&modality))];
             if index < CAMERAS {
                 self.entry(&modality, &image);
                 self.entry(&difference(&modality), &change);
@@ -296,7 +304,11 @@ impl Draft<'_> {
             }
             let part = part.map_or(String::new(), |part| format!(", control: {part}"));
             let range = format!("[{low:?}, {high:?}]");
-            let _ = writeln!(self.text, "    {element}: {{actuator: {name}{part}, range: {range}}}{guess}");
+            let _ = writeln!(
+                self.text,
+                "    {}: {{actuator: {name}{part}, range: {range}}}{guess}",
+                plain(&element)
+            );
             elements.insert(element);
         }
     }
@@ -332,7 +344,7 @@ impl Draft<'_> {
 
 fn modality(name: &str, keys: &[(&str, String)]) -> String {
     let keys: Vec<String> = keys.iter().map(|(key, value)| format!("{key}: {value}")).collect();
-    format!("{name}: {{{}}}", keys.join(", "))
+    format!("{}: {{{}}}", plain(name), keys.join(", "))
 }
 
 /// Returns the first of the names that a user can choose and that is not used.
@@ -347,6 +359,11 @@ fn sanitized(name: &str) -> String {
 
 fn list(names: &[String]) -> String {
     format!("[{}]", names.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(", "))
+}
+
+/// Returns a name as YAML, with quotes if it would be read as something else, such as `null`.
+fn plain(name: &str) -> String {
+    serde_yaml::to_string(&name).unwrap_or_default().trim_end().to_owned()
 }
 
 /// Quotes a text for YAML, in which more characters than in JSON end a line.

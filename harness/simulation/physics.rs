@@ -354,11 +354,20 @@ impl<'s> Physics<'s> {
     }
 
     /// Goes on from where another simulation of the same episode is, with the state rounded to f32 and without noise.
+    /// Bodies that sleep keep their exact positions, because MuJoCo wakes what has been moved.
     pub fn go_on_from(&mut self, other: &Self) {
         other.data.copy_to(&mut self.data).expect("both have the episode's model");
         let round =
             |values: &mut [f64]| values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
-        round(self.data.qpos_mut());
+        let model = self.instant.model.clone();
+        for (joint, first) in model.jnt_qposadr().iter().enumerate() {
+            let end = model.jnt_qposadr().get(joint + 1).map_or(model.nq() as usize, |next| *next as usize);
+            let tree = model.dof_treeid()[model.jnt_dofadr()[joint] as usize] as usize;
+            // MuJoCo gives awake trees a negative number.
+            if self.data.tree_asleep()[tree] < 0 {
+                round(&mut self.data.qpos_mut()[*first as usize..end]);
+            }
+        }
         round(self.data.qvel_mut());
         round(self.data.act_mut());
         self.noise = Noise::default();

@@ -437,7 +437,13 @@ impl<'a> Resolver<'a> {
         others: &[(Definition, Vec<Reading>)],
     ) -> Result<(Definition, Vec<Reading>), SimulationError> {
         let source = sensing.source();
-        let scaling = self.world.scaling(name).unwrap_or(harness_spec::Scaling::plain(false));
+        let is_force = matches!(source, Source::NormalForce { .. });
+        if is_force && self.model.flg_adhesion() && sensing.minimum.is_none() {
+            let message = "geoms have adhesion, which makes forces negative where it pulls, so this needs the lower \
+                           bound of its predictions: minimum: null, for no bound, or a number (N)";
+            return Err(self.fault(path, message));
+        }
+        let scaling = self.world.scaling(name, &[]).unwrap_or(harness_spec::Scaling::plain(false));
         let mut definition = Definition {
             scale: scaling.scale,
             minimum: scaling.minimum,

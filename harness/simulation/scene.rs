@@ -305,7 +305,15 @@ impl Scene {
     pub fn layout_of(&self, spec: &Simulation) -> Arc<Layout> {
         let on = self.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
         let elements: Vec<Element> = on.flat_map(|factor| factor.elements.clone()).collect();
-        if elements.is_empty() { self.layout.clone() } else { Arc::new(self.layout.with_factors(elements)) }
+        if elements.is_empty() {
+            return self.layout.clone();
+        }
+        let mut layout = self.layout.with_factors(elements);
+        for definition in &mut layout.modalities {
+            let scaling = self.world.scaling(definition.name, &spec.factors);
+            definition.minimum = scaling.map_or(definition.minimum, |scaling| scaling.minimum);
+        }
+        Arc::new(layout)
     }
 
     /// Returns for each factor of variation its name, its property, its distribution and the names of its values.

@@ -202,7 +202,7 @@ impl Experiment {
     /// Returns what is known about a modality before a model is compiled or a dataset opened; `None` if nothing is.
     pub(super) fn known(&self, origin: &Origin, modality: Modality) -> Option<Known> {
         match self.world(origin) {
-            Some(world) => world.known(modality),
+            Some(world) => world.known(modality, &self.simulation.factors),
             // A modality of an imported dataset is assumed to be like the finger's modality of that name.
             None => {
                 let layout = Layout::finger();

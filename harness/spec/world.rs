@@ -6,8 +6,10 @@ use super::hints::HINTS;
 use super::origin::Scenario;
 use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
-use super::values::{ascending, globs};
-use harness_layout::{CLASS_COLORS, CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling};
+use super::values::{ascending, globs, matching};
+use harness_layout::{
+    CLASS_COLORS, CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling, present,
+};
 use harness_yaml::{
     NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
     unknown,
@@ -241,10 +243,12 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Scale")]
     pub scale: Option<Scale>,
-    /// The lowest value of a prediction. The default is 0 for forces, and no bound for others.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "number")]
-    pub minimum: Option<f64>,
+    /// The lowest value of a prediction. `null` means no bound. The default is 0 for a `normal_force`, and no bound for
+    /// others and while a factor of `sensor_noise` of the modality is on. If geoms have adhesion, a `normal_force` has no
+    /// default.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
+    #[schemars(schema_with = "number_or_null")]
+    pub minimum: Option<Option<f64>>,
     /// The metric for errors in percent. The default is `wmape` for forces and `smape` for angles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Percentage")]
@@ -457,8 +461,8 @@ mod plain {
     pub fn force(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "type": "number", "exclusiveMinimum": 0.0 })
     }
-    pub fn number(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": "number" })
+    pub fn number_or_null(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": ["number", "null"] })
     }
     pub fn size(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
@@ -473,7 +477,7 @@ mod plain {
         json_schema!({ "type": "array", "minItems": 2, "maxItems": 2, "items": range })
     }
 }
-use plain::{depths, force, groups, limit, number, rectangle, size};
+use plain::{depths, force, groups, limit, number_or_null, rectangle, size};
 
 /// The schema of a world file.
 static SCHEMA: LazyLock<Json> = LazyLock::new(|| schemars::schema_for!(WorldFile).to_value());
@@ -883,30 +887,42 @@ impl World {
         self.file.regions.iter().map(region).collect()
     }
 
-    pub(super) fn known(&self, modality: Modality) -> Option<Known> {
+    /// Returns what is known about a modality while these factors are on.
+    pub(super) fn known(&self, modality: Modality, factors: &[String]) -> Option<Known> {
         let sensing = self.sensing(modality)?;
         let size = match sensing.source() {
             Source::DifferenceOf(of) => self.sensing(of)?.size,
             _ => sensing.size,
         };
-        Some(Known { size, scaling: self.scaling(modality)? })
+        Some(Known { size, scaling: self.scaling(modality, factors)? })
     }
 
     fn sensing(&self, modality: Modality) -> Option<&Sensing> {
         self.file.modalities.iter().find(|(name, _)| *name == modality.name()).map(|(_, sensing)| sensing)
     }
 
-    /// Returns the default scaling of a modality; `None` if the world has no such modality.
-    pub fn scaling(&self, modality: Modality) -> Option<Scaling> {
+    /// Returns the default scaling of a modality while these factors are on; `None` if the world has no such modality.
+    pub fn scaling(&self, modality: Modality, factors: &[String]) -> Option<Scaling> {
         let sensing = self.sensing(modality)?;
         let default = match sensing.source() {
-            Source::NormalForce { .. } => Scaling { scale: Scale::Shared, minimum: Some(0.0) },
+            // Noise can make a recorded force negative.
+            Source::NormalForce { .. } => {
+                Scaling { scale: Scale::Shared, minimum: (!self.is_noisy(modality, factors)).then_some(0.0) }
+            }
             Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.is_image()),
             _ => Scaling::plain(sensing.is_image()),
         };
         Some(Scaling {
             scale: sensing.scale.unwrap_or(default.scale),
-            minimum: sensing.minimum.or(default.minimum),
+            minimum: sensing.minimum.unwrap_or(default.minimum),
+        })
+    }
+
+    /// Whether one of these factors adds noise to a modality.
+    fn is_noisy(&self, modality: Modality, factors: &[String]) -> bool {
+        self.file.factors.iter().any(|(name, factor)| {
+            let is_of = |pattern| matching(std::slice::from_ref(pattern), &[modality.name()]).is_ok();
+            factors.iter().any(|on| on == name) && factor.sensor_noise.iter().flatten().any(is_of)
         })
     }
 

@@ -333,7 +333,10 @@ fn force_values() -> Vec<Column> {
         integer("episode", "episode of the dataset; null for the whole dataset"),
         integer("index", "link, 0 at the base"),
         integer("samples", "number of samples in the episode or dataset"),
-        integer("contacts", "number of samples in which the link is touched, so that its force is above 0"),
+        integer(
+            "contacts",
+            "number of samples in which the link is touched, so that its force is not 0; with sensor noise, all",
+        ),
         real("mean", "N", "mean force over all samples, touched or not"),
     ];
     columns.extend(harness_metrics::contact::QUANTILES.iter().map(|(name, share)| {
@@ -341,7 +344,7 @@ fn force_values() -> Vec<Column> {
             format!("quantile {share} of the force over the samples in contact; null if there are none");
         real(name, "N", &meaning)
     }));
-    columns.push(real("max", "N", "largest force; null if the link is never touched"));
+    columns.push(real("max", "N", "largest force in contact; null if the link is never touched"));
     columns
 }
 

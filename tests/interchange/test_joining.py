@@ -259,6 +259,13 @@ def test_rows_of_parquet_files_are_sorted_by(tmp_path, order):
     assert [episode["x_00"].to_list() for episode in imported(tmp_path, **OF_ROWS)] == [list(range(8))] * 3
 
 
+@pytest.mark.parametrize("rate_hz", [700, 800, 1000])
+def test_rows_of_parquet_files_have_rounded_times(tmp_path, rate_hz):
+    write_rows(tmp_path, rows(np.rint(INDEX * 1000 / rate_hz).astype(int)))
+    given = OF_ROWS | {"sample_rate_hz": rate_hz}
+    assert [episode["x_00"].to_list() for episode in imported(tmp_path, **given)] == [list(range(8))] * 3
+
+
 PLACE = r"rec/[ab].parquet: row \d+"
 ROW_CASES: dict[str, tuple[pl.DataFrame, str]] = {
     "text": (rows(pl.Series(INDEX).cast(pl.String)), "order: 't' holds String, .*as text, 10 comes before 2; name"),

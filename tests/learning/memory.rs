@@ -22,7 +22,7 @@ fn bench(memory: Memory) -> (Bench, Architecture) {
     let partition = samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
     let mut bench = Bench::new();
     let modalities = [Modality::ARM, Modality::PROPRIOCEPTION];
-    let scaling = |modality| (modality, World::paper(Scenario::EMPTY).scaling(modality).unwrap());
+    let scaling = |modality| (modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap());
     let scalings = modalities.into_iter().map(scaling).collect();
     let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
     bench.data.samples = Arc::new(samples);

@@ -2,7 +2,9 @@
 //! and with laws of physics.
 
 use super::parts::{run, scene, vector};
-use harness_simulation::{Episode, EpisodePlan, Scene, SceneRenderer, draft_world, notes, replay};
+use harness_simulation::{
+    Episode, EpisodePlan, Scene, SceneRenderer, draft_world, notes, replay, simulate_on,
+};
 use harness_spec::{Modality, Scenario, Simulation, World};
 use mujoco_rs::prelude::*;
 
@@ -121,8 +123,8 @@ fn resting(geom: &str, ball: &str, more: &str) -> String {
     )
 }
 
-const TOUCHED: &str = "modalities:\n  force:\n    normal_force: [ball, floor]\n    contact_kinds: {ground: floor}\n  \
-                       mean: {normal_force: ball, average_over: sample}\n\
+const TOUCHED: &str = "modalities:\n  force:\n    normal_force: [ball, floor]\n    contact_kinds: {ground: floor}\n    \
+                       minimum: null\n  mean: {normal_force: ball, average_over: sample, minimum: null}\n\
                        action: {seconds: 2, actuators: {push: {range: [0, 1.0e-9]}}}\n";
 
 fn last(episode: &Episode, name: &str) -> f64 {
@@ -136,6 +138,12 @@ fn a_force_is_the_net_force_of_an_adhesive_contact() {
     assert!((last(&episode, "force") - GRAVITY).abs() < 1e-3, "{}", last(&episode, "force"));
     assert!((last(&episode, "mean") - GRAVITY).abs() < 1e-3, "{}", last(&episode, "mean"));
     assert!(said(&world).contains("geoms have adhesion"));
+    let force = &world.layout()[Modality::new("force").unwrap()];
+    assert_eq!((force.minimum, force.is_force()), (None, true));
+    // A bound of 0 would be wrong, so the world says what it is.
+    let bounded = TOUCHED.replace(", minimum: null", "");
+    let said = scene(&resting("adhesion=\"5\"", "", ""), &bounded).unwrap_err();
+    assert!(said.starts_with("robot.yaml:9:") && said.contains("minimum: null, for no bound"), "{said}");
     // Pulled with more than its weight, it hangs on the floor, and the contact is still one with the ground.
     let pulled = TOUCHED.replace("[0, 1.0e-9]", "[11.999, 12]");
     let episode = run(&scene(&resting("adhesion=\"5\" gap=\".01\"", "", ""), &pulled).unwrap(), 1);
@@ -213,6 +221,61 @@ fn a_sleeping_body_keeps_its_forces_until_something_wakes_it() {
     assert!(said(&beside).contains("bodies can sleep") && !said(&awake).contains("bodies can sleep"));
 }
 
+#[test]
+fn a_body_sleeps_on_where_a_simulation_goes_on_from_a_sample() {
+    let beside = scene(ASLEEP, BESIDE).unwrap();
+    let spec = Simulation { actuations_per_episode: 2, ..beside.world().simulation() };
+    let episode = run(&beside, 2);
+    let at: Vec<usize> = (8..12).collect();
+    let found = simulate_on(&beside, &spec, 0, &at, &[1, 5]).unwrap();
+    for (ahead, horizon) in found.ahead.iter().zip([1, 5]) {
+        let [one, other] = [vector(ahead, "force"), &vector(&episode, "force")[3 * (8 + horizon)..][..12]];
+        assert_eq!(one, other);
+    }
+}
+
+#[test]
+fn noise_and_what_is_commanded_are_no_forces_above_0() {
+    let noisy = format!(
+        "{}factors: {{error: {{sensor_noise: f*, offset_by: {{choice: 1}}}}}}\n",
+        TOUCHED
+            .replace("    minimum: null\n", "")
+            .replace("[0, 1.0e-9]", "[0, 1.0e-9], unit: N")
+            .replace("    contact_kinds: {ground: floor}\n", "")
+    );
+    let world = scene(&resting("", "", ""), &noisy).unwrap();
+    let minimum = |factors: Vec<String>| {
+        let spec = Simulation { factors, ..world.world().simulation() };
+        let layout = world.layout_of(&spec);
+        assert_eq!(layout.stored_vectors().filter(|one| one.is_force()).count(), 2);
+        let force = Modality::new("force").unwrap();
+        assert_eq!(world.world().scaling(force, &spec.factors).unwrap().minimum, layout[force].minimum);
+        layout[force].minimum
+    };
+    assert_eq!((minimum(vec![]), minimum(vec!["error".into()])), (Some(0.0), None));
+}
+
+#[test]
+fn a_world_that_diverges_is_refused() {
+    let unstable = resting("", "", "")
+        .replace("<joint name=\"z\"", "<joint stiffness=\"1e12\" springref=\"1\" name=\"z\"");
+    let said = notes(&scene(&unstable, TOUCHED).unwrap()).err().unwrap().to_string();
+    assert!(said.contains("diverged") || said.contains("unstable"), "{said}");
+}
+
+#[test]
+fn names_that_yaml_reads_as_something_else_are_quoted_in_a_first_world_file() {
+    let model = r#"<mujoco><worldbody><body name="a"><freejoint/><geom size=".1"/><site name="s"/></body></worldbody>
+        <actuator><motor name="null" site="s" gear="1 0 0 0 0 0"/><motor name="True" site="s" gear="0 1 0 0 0 0"/>
+          <motor name="1e3" site="s"/><motor name="~" site="s"/></actuator></mujoco>"#;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("free.xml");
+    std::fs::write(&path, model).unwrap();
+    let drafted = draft_world(&path, "free.xml", None).unwrap();
+    assert!(drafted.contains("\n    \"null\": {") && drafted.contains("\n    \"true\": {"), "{drafted}");
+    assert!(drafted.contains("\n  body_positions: {body_positions: [\"a\"]}\n"), "{drafted}");
+}
+
 /// The same model with bodies that never sleep.
 fn awake(model: &str) -> String {
     model.replace("<flag sleep=\"enable\"/>", "")
@@ -229,6 +292,11 @@ fn a_body_that_the_model_starts_asleep_has_the_forces_that_it_would_have_awake()
         assert!((one - other).abs() < 1e-4, "{episode:?} {expected:?}");
     }
     assert_eq!(episode[..3], episode[9..12]);
+    // One that only touches the floor would not press on it either at the start.
+    let flush = ASLEEP.replace("pos=\"0 0 .1\"", "sleep=\"init\" pos=\"0 0 .1\"");
+    let flush = flush.replace("pos=\"0 0 .3\"", "sleep=\"init\" pos=\"0 0 .3\"");
+    let forces = vector(&run(&scene(&flush, BESIDE).unwrap(), 1), "force").to_vec();
+    assert!(forces.iter().all(|force| *force < 1e-6), "{forces:?}");
 }
 
 /// A slide, another joint that depends on it, and an actuator. The first setpoint is 0.5.

@@ -73,16 +73,26 @@ def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:
     values, units = _numbers(keys[what.order])
     episodes = keys[what.episode]
     is_next = (episodes == episodes.shift()).fill_null(False).to_numpy()
-    period = _period(values, np.diff(values)[is_next[1:]], units, what)
+    is_whole = (values == np.rint(values)).all()
+    periods = _periods(np.diff(values)[is_next[1:]], units, is_whole, what)
     starts = np.flatnonzero(~is_next).tolist()
-    for start, end in itertools.pairwise([*starts, len(values)]):
-        if problem := irregular(values[start:end], period):
-            row, how = start + problem[0], problem[1]
-            raise MappingError(
-                f"order: {_at(files, places[row])}: the row with {what.order} {keys[what.order][row]} of episode "
-                f"{episodes[row]} {how} at sample_rate_hz {what.sample_rate_hz:g}; each row is a sample, and none may "
-                "be missing; if they have times, write them to a CSV file, whose rows are aligned by their times"
-            )
+
+    def problem(period: float) -> tuple[int, str] | None:
+        # Whole times of another period are rounded, each by up to half of their unit.
+        rounding = 1.0 if is_whole and not period.is_integer() else 0.0
+        for start, end in itertools.pairwise([*starts, len(values)]):
+            if found := irregular(values[start:end], period, rounding):
+                return start + found[0], found[1]
+        return None
+
+    problems = [problem(period) for period in periods]
+    if None not in problems:
+        row, how = problems[0]
+        raise MappingError(
+            f"order: {_at(files, places[row])}: the row with {what.order} {keys[what.order][row]} of episode "
+            f"{episodes[row]} {how} at sample_rate_hz {what.sample_rate_hz:g}; each row is a sample, and none may "
+            "be missing; if they have times, write them to a CSV file, whose rows are aligned by their times"
+        )
 
 
 def _numbers(order: pl.Series) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -104,22 +114,23 @@ def _numbers(order: pl.Series) -> tuple[np.ndarray, tuple[str, ...]]:
     )
 
 
-def _period(values: np.ndarray, steps: np.ndarray, units: tuple[str, ...], what: Rows) -> float:
-    """Returns what `order` grows by from a sample to the next: 1 if it counts them, otherwise their period as a time.
+def _periods(steps: np.ndarray, units: tuple[str, ...], is_whole: bool, what: Rows) -> list[float]:
+    """Returns what `order` may grow by from a sample to the next, the nearest first: 1 if it counts them, otherwise
+    their period as a time.
 
     Raises:
         MappingError: it grows by something else.
     """
     if len(steps) == 0:
-        return 1.0
+        return [1.0]
     typical = float(np.median(steps))
     periods = {unit: 1e9 / what.sample_rate_hz / UNITS[unit] for unit in units}
     allowed = [f"{period:g} {unit}" for unit, period in periods.items()]
-    if len(units) > 1 and (values == np.rint(values)).all():
+    if len(units) > 1 and is_whole:
         periods["counter"] = 1.0
-    period = min(periods.values(), key=lambda each: abs(np.log(typical / each)))
-    if 1 / 1.5 < typical / period < 1.5:
-        return period
+    near = [period for period in periods.values() if 1 / 1.5 < typical / period < 1.5]
+    if near:
+        return sorted(near, key=lambda each: abs(np.log(typical / each)))
     rates = {unit: 1e9 / UNITS[unit] / typical for unit in units}
     fitting = [f"{rate:.4g} if it is in {unit}" for unit, rate in rates.items() if 0.01 <= rate <= 1000]
     raise MappingError(

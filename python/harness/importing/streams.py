@@ -126,18 +126,19 @@ def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
     return np.rint(values.astype(np.float64) * unit).astype(np.int64)
 
 
-def irregular(times: np.ndarray, period: float) -> tuple[int, str] | None:
+def irregular(times: np.ndarray, period: float, rounding: float = 0.0) -> tuple[int, str] | None:
     """Returns the first row that is no sample at a regular rate, and how it comes; None if all are.
 
     A sample may come up to 1.5 periods after the one before, and all together may last 5 % longer or shorter.
+    `rounding` is by how much rounded times can change a step, in the unit of `period`.
     """
-    steps = np.diff(times) / period
-    wrong = np.flatnonzero(steps > 1.501)
+    steps, slack = np.diff(times) / period, rounding / period
+    wrong = np.flatnonzero(steps > 1.501 + slack)
     if len(wrong):
         row = int(wrong[0])
         return row + 1, f"comes {steps[row]:.3g} samples after the row before it"
     count, lasted = len(steps), float(steps.sum())
-    if abs(lasted - count) > max(1.0, 0.05 * count) + 1e-3:
+    if abs(lasted - count) > max(1.0, 0.05 * count) + slack + 1e-3:
         return count, f"is row {count}, and comes {lasted:.4g} samples after row 0"
     return None
 
