@@ -204,7 +204,7 @@ fn a_model_without_actuators_gets_a_copy_with_some() {
     let mesh = "<body pos='0 0 1'><joint axis='0 1 0'/><geom type='mesh' mesh='m'/></body>";
     let chain = "<body pos='0 0 1'><joint type='ball'/><geom size='.1'/></body>";
     for (bodies, offer, line) in [
-        (ARM, servos, "    y: {actuator: \"y\", range: [-0.1, 0.1]}\n"),
+        (ARM, servos, "    \"y\": {actuator: \"y\", range: [-0.1, 0.1]}\n"),
         (mesh, "a position servo on its joint", "    joint_0: {actuator: \"joint_0\", range: [-1.0, 1.0]}\n"),
         (
             heap,

@@ -188,7 +188,7 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
     notes
 }
 
-/// The vectors that stay the same while the world's episodes are simulated, such as the forces of contacts that do not
+/// Whether a simulation fails, and the vectors that stay the same while the world's episodes are simulated, such as the forces of contacts that do not
 /// happen.
 fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, SimulationError> {
     let spec = scene.world().simulation();
@@ -199,7 +199,7 @@ fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, Simulat
     let sensed = || scene.layout().modalities.iter().enumerate().filter(|(_, one)| is_sensed(one));
     // Those that have not changed so far, each with its values at the first sample.
     let mut same: Vec<(usize, &Definition, Vec<f32>)> = Vec::new();
-    let (begin, mut samples) = (Instant::now(), 0);
+    let (begin, mut samples, mut fails) = (Instant::now(), 0, None);
     'episodes: for episode in 0.. {
         let plan = EpisodePlan::draw(scene, &spec, episode)?;
         physics.start(&plan);
@@ -209,7 +209,10 @@ fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, Simulat
             if is_over || samples > 0 && same.is_empty() {
                 break 'episodes;
             }
-            physics.follow(&plan)?;
+            if let Err(error) = physics.follow(&plan) {
+                fails = Some(format!("recording fails: {error}; a smaller range or longer moves may help"));
+                break 'episodes;
+            }
             let (instant, _) = physics.sampled();
             let values = |place: usize| instant.vector(scene, place);
             if samples == 0 {
@@ -227,7 +230,8 @@ fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, Simulat
             definition.name
         )
     };
-    Ok(if samples > 1 { same.into_iter().map(note).collect() } else { Vec::new() })
+    let same = same.into_iter().map(note).filter(|_| samples > 1);
+    Ok(fails.into_iter().chain(same).collect())
 }
 
 fn slow_rendering(time: &SampleTime) -> Option<String> {
