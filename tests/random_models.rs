@@ -17,11 +17,8 @@ use std::thread;
 use std::time::Instant;
 
 /// Why a model may be refused: the name of the reason, and a part of the message.
-const REASONS: [(&str, &str); 3] = [
-    ("nothing to move", "neither an actuator nor a mocap body with a name"),
-    ("no actuator with a name", "actuators has a name, which a world's action needs"),
-    ("diverged", "diverged"),
-];
+const REASONS: [(&str, &str); 2] =
+    [("nothing to move", "has neither an actuator nor a mocap body"), ("diverged", "diverged")];
 
 /// The largest part of the models that may be refused.
 const REFUSED: f64 = 0.15;

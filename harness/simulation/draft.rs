@@ -137,6 +137,10 @@ impl Draft<'_> {
             self.optional("other_joints", "joint_positions", &named);
             self.optional("other_joint_velocities", "joint_velocities", &named);
         }
+        // A body without a name can't be recorded if another has the name of its number.
+        if oriented.is_empty() {
+            return;
+        }
         self.comment("To record where these bodies are, remove the # from these lines:");
         if !is_all && !free.is_empty() {
             self.optional("body_positions", "body_positions", &free);

@@ -685,15 +685,15 @@ class World:
         # A pattern does not match the names in capitals.
         has_several = sum(name.startswith("geom") for name in model.geoms) > 1
         touched = draw.one([model.geoms, model.with_geom] + ["geom*"] * has_several)
-        chosen["force"] = dict(normal_force=touched)
+        chosen["force"] = dict(normal_force=touched, minimum=None)
         if draw.chance(0.5):
             half = len(model.geoms) // 2
             kinds = {"ground": model.geoms[:1], "low": model.geoms[1:half], "high": model.geoms[half:]}
             chosen["force"]["contact_kinds"] = {kind: geoms for kind, geoms in kinds.items() if geoms}
         if draw.chance(0.6):
-            chosen["mean"] = dict(normal_force=touched, average_over="sample")
+            chosen["mean"] = dict(normal_force=touched, average_over="sample", minimum=None)
         if model.flexes:
-            chosen["flex"] = dict(normal_force=model.flexes)
+            chosen["flex"] = dict(normal_force=model.flexes, minimum=None)
         if model.cameras:
             parts = {"ground": model.geoms[:1], "bodies": model.with_geom[:2], "soft": model.flexes}
             shared = dict(size=[12, 16])

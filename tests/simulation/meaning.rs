@@ -274,6 +274,13 @@ fn names_that_yaml_reads_as_something_else_are_quoted_in_a_first_world_file() {
     let drafted = draft_world(&path, "free.xml", None).unwrap();
     assert!(drafted.contains("\n    \"null\": {") && drafted.contains("\n    \"true\": {"), "{drafted}");
     assert!(drafted.contains("\n  body_positions: {body_positions: [\"a\"]}\n"), "{drafted}");
+    // The name of an unnamed body's number is taken.
+    let taken = model.replace("name=\"a\"", "").replace(
+        "</worldbody>",
+        "<body name=\"body_1\"><joint name=\"j\"/><geom size=\".1\"/></body></worldbody>",
+    );
+    std::fs::write(&path, taken).unwrap();
+    assert!(!draft_world(&path, "free.xml", None).unwrap().contains("[]"));
 }
 
 /// The same model with bodies that never sleep.
