@@ -570,6 +570,8 @@ fn contact_forces_are_summed_up_link_by_link() {
         assert_close(found, expected);
     }
     assert_eq!((links[5].contacts, links[5].quantiles), (1, Some([4.0; 5])));
+    // Adhesion pulls.
+    assert_eq!(by_link(&[-1.0, 0.0, 2.0], 1)[0].contacts, 2);
     let untouched = Contact { samples: 11, contacts: 0, mean: 0.0, quantiles: None, max: None };
     assert_eq!(links[0], untouched);
     assert_eq!(by_link(&[], JOINTS)[0], Contact { samples: 0, ..untouched });

@@ -798,18 +798,24 @@ fn a_page_of_a_world_that_is_gone_says_so() {
     let copied = std::process::Command::new("cp").arg("-r").arg(results).arg(&copy).status().unwrap();
     assert!(copied.success());
     // The runs' records have the path of the world file, which is that of the first folder.
-    let run =
-        fs::read_dir(copy.join("runs/pendulum")).unwrap().flatten().map(|run| run.path().join("run.json"));
-    for path in run.filter(|path| path.exists()) {
-        let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-        record["provenance"]["world_file"] = "/nowhere/pendulum.yaml".into();
-        record[seal::KEY] = seal::BLANK.into();
-        seal::write(&path, format!("{record:#}\n").into_bytes()).unwrap();
-    }
-    let page = page(&copy, "gone.html", &["pendulum"]);
-    let scenes = between(&page, "<section id=\"scenes\">", "</section>");
+    let scenes_with = |world: &Path| {
+        let runs = fs::read_dir(copy.join("runs/pendulum")).unwrap().flatten();
+        for path in runs.map(|run| run.path().join("run.json")).filter(|path| path.exists()) {
+            let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+            record["provenance"]["world_file"] = world.display().to_string().into();
+            record[seal::KEY] = seal::BLANK.into();
+            seal::write(&path, format!("{record:#}\n").into_bytes()).unwrap();
+        }
+        let page = page(&copy, "gone.html", &["pendulum"]);
+        assert!(page.contains("<section id=\"metrics\">"));
+        between(&page, "<section id=\"scenes\">", "</section>").to_owned()
+    };
+    // The model that is filmed is that of the dataset, whatever the file on the disk says now.
+    fs::write(copy.join("pendulum.xml"), "<mujoco/>").unwrap();
+    let scenes = scenes_with(&copy.join("pendulum.yaml"));
+    assert!(!scenes.contains("could not be filmed") && scenes.contains("class=\"clip\""), "{scenes}");
+    let scenes = scenes_with(Path::new("/nowhere/pendulum.yaml"));
     assert!(scenes.contains("The world pendulum could not be filmed: "), "{scenes}");
-    assert!(page.contains("<section id=\"metrics\">"));
 }
 
 #[test]
