@@ -71,6 +71,11 @@ impl Modality {
         "dataset", "scenario", "episode", "sample", "time", "setpoint", "factors", "action", "kl", "total",
         "latent",
     ];
+
+    /// Returns whether a dataset's modality is sensed: it is neither the setpoint nor the drawn factors.
+    pub fn is_sensed(self) -> bool {
+        ![Self::SETPOINT, Self::FACTORS].contains(&self)
+    }
 }
 
 interned_name!(
@@ -317,11 +322,9 @@ impl Definition {
         units
     }
 
-    /// Returns whether forces were sensed: a vector in N that is neither the setpoint nor the drawn factors. The table
-    /// `forces` holds their distribution.
+    /// Returns whether the values are sensed forces: a vector in N. The table `forces` holds their distribution.
     pub fn is_force(&self) -> bool {
-        let is_given = [Modality::SETPOINT, Modality::FACTORS].contains(&self.name);
-        !is_given && !self.is_image() && self.unit() == Some("N")
+        self.name.is_sensed() && !self.is_image() && self.unit() == Some("N")
     }
 
     /// Returns the modality that tells the kind of contact of each element: 0 without a contact, k for the contact kind
@@ -452,7 +455,7 @@ impl Layout {
     pub fn names(&self) -> impl Iterator<Item = Modality> {
         let names = self.modalities.iter().map(|definition| definition.name);
         let is_kind = |name| self.modalities.iter().any(|definition| definition.contact_kind() == Some(name));
-        names.filter(move |name| ![Modality::SETPOINT, Modality::FACTORS].contains(name) && !is_kind(*name))
+        names.filter(move |name| name.is_sensed() && !is_kind(*name))
     }
 }
 

@@ -36,7 +36,8 @@ pub struct Shot {
     pub scenario: Scenario,
     /// The world's file; `None` for a built-in world.
     file: Option<PathBuf>,
-    /// The model with which the dataset was simulated; `None` if the dataset lacks it.
+    /// The file of the model with which the dataset was simulated, which older datasets lack; `None` for a scene of the
+    /// paper.
     model: Option<PathBuf>,
     /// The settings of the simulation.
     simulation: Simulation,
@@ -60,8 +61,7 @@ impl Shot {
             let file = record.provenance.world_file.clone();
             let is_known = |shot: &Shot| shot.scenario == scenario && shot.file == file;
             if !is_of_the_paper(&record.spec.scenario) && !shots.iter().any(is_known) {
-                let model =
-                    Some(Registry::new(analysis.root()).model(&record.dataset)).filter(|path| path.exists());
+                let model = Some(Registry::new(analysis.root()).model(&record.dataset));
                 shots.push(Self { scenario, file, model, simulation, layout: Some(record.layout.clone()) });
             }
         }

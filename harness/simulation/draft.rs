@@ -367,7 +367,8 @@ fn list(names: &[String]) -> String {
 
 /// Returns a name as YAML, with quotes if it would be read as something else, such as `null`.
 fn plain(name: &str) -> String {
-    serde_yaml::to_string(&name).unwrap_or_default().trim_end().to_owned()
+    let yaml = serde_yaml::to_string(&name).expect("a name is a text, which YAML can hold");
+    yaml.trim_end().to_owned()
 }
 
 /// Quotes a text for YAML, in which more characters than in JSON end a line.

@@ -10,7 +10,7 @@ use super::physics::Physics;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading, is_pinhole};
 use super::scene::Scene;
-use harness_spec::{Definition, Modality, Posed, Simulation};
+use harness_spec::{Definition, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -59,7 +59,7 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
         other => other?,
     };
     notes.extend(rendering.as_ref().and_then(slow_rendering));
-    notes.extend(unchanged(scene, physics)?);
+    notes.extend(simulated(scene, physics)?);
     Ok(Notes { notes, rendering })
 }
 
@@ -188,15 +188,12 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
     notes
 }
 
-/// Whether a simulation fails, and the vectors that stay the same while the world's episodes are simulated, such as the forces of contacts that do not
-/// happen.
-fn unchanged(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, SimulationError> {
+/// Simulates the world's episodes until every vector has changed, for a limited time. Notes a simulation that fails, and
+/// the vectors that stay the same, such as the forces of contacts that do not happen.
+fn simulated(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, SimulationError> {
     let spec = scene.world().simulation();
-    let is_sensed = |definition: &Definition| {
-        let is_given = [Modality::SETPOINT, Modality::FACTORS].contains(&definition.name);
-        !is_given && !definition.is_image() && definition.difference_of.is_none()
-    };
-    let sensed = || scene.layout().modalities.iter().enumerate().filter(|(_, one)| is_sensed(one));
+    let is_stored = |one: &Definition| one.name.is_sensed() && !one.is_image() && one.difference_of.is_none();
+    let sensed = || scene.layout().modalities.iter().enumerate().filter(|(_, one)| is_stored(one));
     // Those that have not changed so far, each with its values at the first sample.
     let mut same: Vec<(usize, &Definition, Vec<f32>)> = Vec::new();
     let (begin, mut samples, mut fails) = (Instant::now(), 0, None);
