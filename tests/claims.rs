@@ -434,7 +434,7 @@ fn a_variant_is_a_setting_that_a_query_may_tell_apart() {
     let folder = tempfile::tempdir().unwrap();
     let registry = Registry::new(folder.path());
     let mut sweep = experiment("single_to_multi", &[0, 1]);
-    sweep.vary = [("training.kl_weight".to_owned(), vec![0.0.into(), 0.5.into()])].into();
+    sweep.vary = [("training.kl_weight".to_owned(), vec![0.0, 0.5].into())].into_iter().collect();
     for spec in sweep.runs() {
         finish_run(&registry, "single_to_multi", &spec, Same);
     }

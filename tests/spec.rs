@@ -98,7 +98,6 @@ fn what_is_left_out_gets_its_default() {
         },
         vary: Default::default(),
         search: None,
-        roles: Default::default(),
         readings: Vec::new(),
         quick: Default::default(),
         worlds: Vec::new(),
@@ -235,7 +234,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
              input, output, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, \
-             search, roles, readings, quick",
+             search, readings, quick",
         ),
     ]);
 }
@@ -1129,6 +1128,118 @@ fn roles_keep_the_order_of_the_spec() {
     assert_eq!(variants(&load(&experiment.to_yaml())), variants(&experiment));
 }
 
+/// The same runs as with `roles`, whose variants they name alike.
+#[test]
+fn labels_of_an_axis_make_runs_and_build_on_each_other() {
+    let axis = |name: &str| {
+        format!(
+            "{BASE}vary:\n  training.epochs: [7, 5]\n  {name}:\n    both: {{extends: arm, training.dropout: 0.5}}\n    \
+             arm: {{input: arm, training.dropout: 0.1}}\n"
+        )
+    };
+    let runs = load(&axis("senses")).runs();
+    let variants: Vec<&str> = runs.iter().step_by(2).take(4).map(|run| &*run.variant).collect();
+    assert_eq!(
+        variants,
+        ["senses=both,epochs=7", "senses=both,epochs=5", "senses=arm,epochs=7", "senses=arm,epochs=5"]
+    );
+    assert_eq!(runs[0].input, [Modality::ARM]);
+    assert_eq!([0, 4].map(|index| runs[index].trained().unwrap().training.dropout), [0.5, 0.1]);
+    let roles =
+        "roles: {both: {input: arm, training.dropout: 0.5}, arm: {input: arm, training.dropout: 0.1}}\n";
+    let old = load(&format!("{BASE}{roles}vary: {{training.epochs: [7, 5]}}\n")).runs();
+    assert_eq!(load(&axis("role")).runs(), old);
+    // The command line replaces the values of settings, and leaves axes with labels.
+    let one =
+        load_with(axis("senses"), &["vary={training.epochs: [3]}", "training.dropout=0"], false).unwrap();
+    assert!(one.runs().iter().all(|run| run.variant.ends_with(",epochs=3")), "{:?}", one.vary);
+    assert_eq!(one.runs()[0].trained().unwrap().training.dropout, 0.0);
+    let given =
+        "vary={senses: {both: {extends: arm, action: target}, arm: {input: arm}}, training.epochs: [7, 5]}";
+    assert_eq!(
+        runs[4].own_override(given),
+        "vary={\"senses\":{\"arm\":{\"input\":\"arm\"}},\"training.epochs\":[7]}"
+    );
+    assert_refused(&[
+        (
+            "vary: {senses: {a: {extends: b}, b: {extends: a}}}\n",
+            "spec.yaml:7:47: 'vary.senses.b.extends': a extends itself: a > b > a",
+        ),
+        (
+            "vary: {senses: {arm: {}, b: {extends: amr}}}\n",
+            "spec.yaml:7:39: unknown label 'amr' in 'vary.senses.b.extends'; did you mean 'arm'? Allowed: arm, b",
+        ),
+        (
+            "vary: {senses: {a: {extends: [a]}}}\n",
+            "spec.yaml:7:30: 'vary.senses.a.extends': expected the name of a label, found a list of 1",
+        ),
+        (
+            "vary: {hidden: {a: {}}}\n",
+            "spec.yaml:7:16: 'hidden' can't name an axis with labels, because it has another meaning; use another name",
+        ),
+        (
+            "vary: {role: {a: {}}}\nroles: {a: {}}\n",
+            "spec.yaml:8:1: 'roles' is the same as 'vary.role'; leave one of them out",
+        ),
+    ]);
+}
+
+#[test]
+fn a_spec_builds_on_other_specs() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("lab")).unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let write = |name: &str, text: &str| std::fs::write(path(name), text).unwrap();
+    let load = |name: &str| spec::load(&path(name), &[], false);
+    let refusal = |name: &str| {
+        load(name).unwrap_err().to_string().replace(&format!("{}/", folder.path().display()), "")
+    };
+    write(
+        "lab/base.yaml",
+        &format!("{BASE}training: {{epochs: 7, dropout: 0.5}}\nvary: {{action: [target]}}\n"),
+    );
+    write("middle.yaml", "extends: lab/base.yaml\nname: middle\ntraining: {epochs: 9}\nvary: null\n");
+    write("own.yaml", "extends: middle.yaml\nname: own\ntraining: {patience: null}\nlatent: 3\n");
+    let (own, mut base) = (load("own.yaml").unwrap(), load("lab/base.yaml").unwrap());
+    assert_eq!((own.training.epochs, own.training.dropout, own.training.patience), (9, 0.5, None));
+    base.training.epochs = 9;
+    base.training.patience = None;
+    base.vary.clear();
+    let base = Experiment { name: "own".into(), latent: vec![3], ..base };
+    assert_eq!(own.runs(), base.runs());
+    // A built-in spec is found by its name. Faults are those of the file with the value.
+    write("first.yaml", "extends: smoke.yaml\nname: mine\n");
+    assert_eq!(load("first.yaml").unwrap().network.hidden, [16]);
+    let cases = [
+        ("a: 1\nextends: gone.yaml\n", "wrong.yaml:2:10: 'extends': gone.yaml: there is no such file"),
+        (
+            "extends: [own.yaml]\nname: a\n",
+            "wrong.yaml:1:10: 'extends': expected the path of a spec, found a list of 1",
+        ),
+        ("extends: own.yaml\n", "wrong.yaml:1:1: missing 'name'"),
+        (
+            "extends: own.yaml\nname: a\ninput: [visoin]\n",
+            "wrong.yaml:3:9: unknown modality 'visoin' in 'input'",
+        ),
+        (
+            "extends: bad.yaml\nname: a\n",
+            "bad.yaml:3:9: 'action': expected one of increment, target, found 3",
+        ),
+        ("extends: broken.yaml\nname: a\n", "broken.yaml:1:1: broken YAML"),
+        (
+            "extends: wrong.yaml\nname: a\n",
+            "wrong.yaml:1:10: 'extends': wrong.yaml > wrong.yaml: a spec can't extend itself",
+        ),
+    ];
+    write("bad.yaml", "extends: own.yaml\nname: bad\naction: 3\n");
+    write("broken.yaml", "[");
+    for (text, expected) in cases {
+        write("wrong.yaml", text);
+        let said = refusal("wrong.yaml");
+        assert!(said.starts_with(expected), "{text}{said}");
+    }
+}
+
 #[test]
 fn own_worlds_and_modalities_have_settings_by_dotted_key() {
     let text = BASE
@@ -1150,7 +1261,7 @@ fn own_worlds_and_modalities_have_settings_by_dotted_key() {
         assert!(said.contains(&format!("unknown key '{key}'")), "{said}");
     }
     let said = refusal(text.replace("losses.grip: huber", "losses.grip: hubert"));
-    assert!(said.contains("unknown loss 'hubert' in 'roles.heavy.training.losses.grip'"), "{said}");
+    assert!(said.contains("unknown loss 'hubert' in 'vary.role.heavy.training.losses.grip'"), "{said}");
 }
 
 #[test]
@@ -1309,7 +1420,7 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
              level",
         ),
         (&reading("target", "latent: [2]"), "spec.yaml:7:80: unknown key 'latent' in 'readings.settings'"),
-        ("roles: {small: {seeds: [1]}}\n", "spec.yaml:7:17: unknown key 'seeds' in 'roles.small'"),
+        ("roles: {small: {seeds: [1]}}\n", "spec.yaml:7:17: unknown key 'seeds' in 'vary.role.small'"),
     ];
     for (addition, expected) in unknown {
         let said = refusal(format!("{BASE}{addition}"));
@@ -1318,7 +1429,7 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
     let others =
         reading("target", "action: target").replace("}}]", "}, runs: {small: {experiment: other}}}]");
     let said = refusal(format!("{BASE}{others}"));
-    assert!(said.starts_with("spec.yaml:7:") && said.contains("'small' is no role"), "{said}");
+    assert!(said.starts_with("spec.yaml:7:") && said.contains("'small' is no label"), "{said}");
     let twice = readings().replace("name: long", "name: target");
     assert_eq!(refusal(twice), "spec.yaml:10:10: there is a reading 'target' already");
     assert!(override_refusal("readings=[]").starts_with("override 'readings=[]': unknown key 'readings'"));
@@ -1555,7 +1666,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             device: harness_spec::Device::Cpu,
         },
         vary: if random.random() {
-            [("training.batch_size".into(), vec![64.into(), 128.into()])].into()
+            [("training.batch_size".to_owned(), vec![64, 128].into())].into_iter().collect()
         } else {
             Default::default()
         },
@@ -1567,7 +1678,6 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             objective: Default::default(),
             halving: None,
         }),
-        roles: Default::default(),
         readings: Vec::new(),
         quick: Default::default(),
         worlds: Vec::new(),
@@ -1696,6 +1806,29 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
 }
 
 /// Editors read this file. `harness schema > experiments/schema.json` updates it.
+#[test]
+fn the_origin_of_each_value_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("own.yaml");
+    let text = "extends: smoke.yaml\nname: own\naction: target\nvary:\n  simulation.seed: [0, 1]\n  senses:\n    one: {}\n    \
+                two: {input: [arm]}\n";
+    std::fs::write(&path, text).unwrap();
+    let explained = spec::explain(&path, &["training.epochs=3".into()], false).unwrap();
+    assert_eq!(explained.iter().map(|one| &*one.variant).collect::<Vec<_>>(), ["senses=one", "senses=two"]);
+    let source = |variant: usize, key: &str| {
+        let found = explained[variant].settings.iter().find(|setting| setting.key == key).unwrap();
+        let source = found.source.clone().unwrap_or("default".into());
+        format!("{} {}", found.value, source.replace(&path.display().to_string(), "own.yaml"))
+    };
+    let base = |line: usize| format!("the built-in experiments/smoke.yaml:{line}");
+    assert_eq!(source(0, "action"), "\"target\" own.yaml:3");
+    assert_eq!(source(0, "input"), format!("[\"proprioception\",\"vision\"] {}", base(10)));
+    assert_eq!(source(1, "input"), "[\"arm\"] senses=two, own.yaml:8");
+    assert_eq!(source(1, "training.epochs"), "3 override");
+    assert_eq!(source(1, "simulation.seed"), "0 simulation.seed, own.yaml:5");
+    assert_eq!(source(1, "training.dropout"), "0.0 default");
+}
+
 #[test]
 fn the_schema_for_editors_is_up_to_date() {
     let path = experiments().join("schema.json");

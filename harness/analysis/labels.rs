@@ -2,7 +2,7 @@
 
 use super::{Analysis, Key};
 use harness_shared::numbers::Natural;
-use harness_spec::{Modality, model_parts, variant_parts};
+use harness_spec::{Modality, is_axis, model_parts, variant_parts};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The keys of the modalities that a model gets and predicts.
@@ -38,7 +38,7 @@ impl From<String> for Label {
 
 /// The short names of the variants of an analysis, and of the settings by which its means are told apart.
 ///
-/// A variant's name has only the parts in which variants differ: `hidden=8`. A role is its name alone, and an input is
+/// A variant's name has only the parts in which variants differ: `hidden=8`. A label is its name alone, and an input is
 /// its modalities: `vision + touch`. If the inputs are one input and this input without some of its modalities, one
 /// each, they are called `all inputs` and `without vision`.
 pub struct Labels {
@@ -97,7 +97,7 @@ impl Labels {
         let parts = variant.split(',').filter(|part| !self.constant.contains(*part));
         let name = |part: &str| match part.split_once('=') {
             Some((INPUT, input)) => self.input(&modalities(input)),
-            Some(("role", role)) => role.to_owned(),
+            Some((axis, label)) if axis != "reading" && is_axis(axis) => label.to_owned(),
             _ => part.to_owned(),
         };
         Label { place, name: Natural::new(parts.map(name).collect::<Vec<_>>().join(", ")) }

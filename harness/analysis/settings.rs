@@ -2,7 +2,7 @@
 
 use harness_registry::{Recorded, RunRecord, UNKNOWN, leaves, quoted};
 use harness_shared::numbers::by_value;
-use harness_spec::{Layout, RunSpec, setting_value};
+use harness_spec::{Layout, RunSpec, is_axis, label_in, setting_value};
 use rayon::prelude::*;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +36,7 @@ const OF_IMAGES: [&str; 2] = ["network.channels", "network.average"];
 /// The lists of a spec whose order has no meaning.
 const UNORDERED: [&str; 3] = ["input", "output", "simulation.factors"];
 /// The value of a setting that a run does not have.
-const UNSET: &str = "unset";
+pub(super) const UNSET: &str = "unset";
 
 /// The settings of a run: texts by dotted keys, such as `64` for `training.batch_size`.
 pub(super) type Settings = BTreeMap<String, String>;
@@ -218,9 +218,10 @@ fn is_simulated(run: &Settings) -> bool {
     run.keys().any(|key| key.starts_with(SIMULATION))
 }
 
-/// The run's value of the setting `key`, or [`UNSET`].
+/// The run's value of the setting `key`, or its label of the axis with this name, or [`UNSET`].
 pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
-    run.get(key).map_or(UNSET, String::as_str)
+    let label = || is_axis(key).then(|| label_in(run.get(VARIANT)?, key)).flatten();
+    run.get(key).map(String::as_str).or_else(label).unwrap_or(UNSET)
 }
 
 /// Whether every run's variant names the setting, and all runs with the same variant have the same value.
@@ -230,8 +231,8 @@ fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
     let names = |variant: &str| {
         let mut named = variant.split(',').filter_map(|part| part.split_once('=')).map(|(named, _)| named);
         named.any(|named| {
-            // A reading or a role may set any setting.
-            ["reading", "role"].contains(&named)
+            // A label may set any setting.
+            is_axis(named)
                 || name == named
                 || name.strip_prefix(named).is_some_and(|rest| rest.starts_with('.'))
         })
@@ -249,9 +250,9 @@ fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
 pub struct Setting {
     /// The experiment whose runs must have the setting, or `None` for all experiments.
     pub experiment: Option<String>,
-    /// The setting's dotted key.
+    /// The setting's dotted key, or the name of an axis with labels.
     pub key: String,
-    /// The value, as a text.
+    /// The value, as a text, or the label.
     pub value: String,
 }
 

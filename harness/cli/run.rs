@@ -17,7 +17,7 @@ use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
 use harness::samples::FramePlace;
 use harness::shard::Shard;
 use harness::simulation::Scene;
-use harness::spec::{self, Experiment};
+use harness::spec::{self, Experiment, Explained, Sourced};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -61,9 +61,10 @@ impl Spec {
 pub struct Run {
     #[command(flatten)]
     spec: Spec,
-    /// Do nothing, but print whether each run would be done, why, and the layers of the networks
-    #[arg(long)]
-    dry_run: bool,
+    /// Do nothing, but print whether each run would be done, why, where its settings come from, and the layers of the
+    /// networks. --dry-run=all also prints the settings that have their default
+    #[arg(long, value_name = "WHAT", num_args = 0..=1, require_equals = true, default_missing_value = "short")]
+    dry_run: Option<Detail>,
     /// Number of runs of a dataset to train at the same time, each with its share of the threads. This is faster for
     /// small networks, and gives the same results
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -87,6 +88,15 @@ pub struct Run {
     fail_fast: bool,
     #[command(flatten)]
     gone: Gone,
+}
+
+/// Which settings a dry run prints.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Detail {
+    /// Those without their default
+    Short,
+    /// All of them
+    All,
 }
 
 /// What this process does of the work.
@@ -137,10 +147,11 @@ impl Run {
         let is_own = |index: usize| self.share.shard.is_none_or(|shard| shard.contains(index));
         let own =
             |plan: &[Planned]| -> Vec<usize> { (0..plan.len()).filter(|index| is_own(*index)).collect() };
-        if self.dry_run {
+        if let Some(detail) = self.dry_run {
             let plan: Vec<&Planned> = own(&plan).into_iter().map(|index| &plan[index]).collect();
             print_plan(&plan);
             search::print_rungs(&experiment);
+            self.print_settings(&experiment, &plan, detail)?;
             print_networks(&plan)?;
             return Ok(ExitCode::from(DONE));
         }
@@ -163,6 +174,34 @@ impl Run {
         search::print_commands(registry, &experiment, &trials, &self.spec.words());
         warn_of_loss();
         Ok(ExitCode::from(if summary.failed.is_empty() { DONE } else { FAILED }))
+    }
+
+    /// Prints the settings that all runs of a plan share, and then those in which its variants differ, each with its
+    /// origin. The plan itself lists the settings of trials.
+    fn print_settings(&self, experiment: &Experiment, plan: &[&Planned], detail: Detail) -> Result<()> {
+        let variants: BTreeSet<&str> = plan.iter().map(|planned| planned.spec.variant.as_str()).collect();
+        let Spec { path, overrides, quick } = &self.spec;
+        let mut explained = spec::explain(path, overrides, *quick)?;
+        explained.retain(|one| variants.contains(one.variant.as_str()));
+        let Some(first) = explained.first() else { return Ok(()) };
+        let is_shown = |one: &Sourced| detail == Detail::All || one.source.is_some();
+        let is_shared = |one: &Sourced| explained.iter().all(|variant| variant.settings.contains(one));
+        let print = |title: &str, settings: Vec<&Sourced>| {
+            println!("\n{title}:");
+            print_beside(settings.into_iter().map(|one| {
+                let source = one.source.as_deref().unwrap_or("default");
+                (format!("  {} = {}", one.key, one.value), source.to_owned())
+            }));
+        };
+        let shared = first.settings.iter().filter(|one| is_shown(one) && is_shared(one));
+        print("the settings of all runs", shared.collect());
+        for Explained { variant, settings } in explained.iter().filter(|_| experiment.search.is_none()) {
+            let own: Vec<&Sourced> = settings.iter().filter(|one| is_shown(one) && !is_shared(one)).collect();
+            if !own.is_empty() {
+                print(&format!("the settings of {variant}"), own);
+            }
+        }
+        Ok(())
     }
 
     /// Leaves out of a plan the runs that do not have the settings of `--where`.

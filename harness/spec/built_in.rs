@@ -76,6 +76,12 @@ pub struct YamlFile {
     pub text: Cow<'static, str>,
 }
 
+impl From<BuiltIn> for YamlFile {
+    fn from(file: BuiltIn) -> Self {
+        Self { label: file.label(), folder: PathBuf::new(), text: file.text.into() }
+    }
+}
+
 /// Finds a file by its path, or by its name without folder and extension. The name `NAME` stands for the first of
 /// these that exists: the file `NAME.yaml`, the file `experiments/NAME.yaml`, and the file of this name in `built_in`.
 /// Messages call such a file a `what`.
@@ -105,13 +111,28 @@ fn by_name(what: &str, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, Spe
         return read(file);
     }
     if let Some(file) = named(Some(name.as_ref()), built_in) {
-        return Ok(YamlFile { label: file.label(), folder: PathBuf::new(), text: file.text.into() });
+        return Ok(file.into());
     }
     let names: Vec<&str> = built_in.iter().map(|file| file.name).collect();
     let message = not_known(what, name, "", &names, str::to_owned);
     Err(SpecError::NoFile {
         message: format!("{message} Allowed: {}, or the path of a file", names.join(", ")),
     })
+}
+
+/// Finds the file that `file` names: one relative to its folder, or else one of `built_in`. A built-in file names only
+/// those, whatever the current folder has.
+///
+/// # Errors
+/// When there is no such file, or it can't be read as text.
+pub(super) fn beside(file: &YamlFile, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, SpecError> {
+    let path = file.folder.join(name);
+    match named(Path::new(name).file_stem(), built_in) {
+        Some(own) if !name.contains('/') && (matches!(file.text, Cow::Borrowed(_)) || !path.exists()) => {
+            Ok(own.into())
+        }
+        _ => read(&path),
+    }
 }
 
 fn named(name: Option<&OsStr>, built_in: &[BuiltIn]) -> Option<BuiltIn> {

@@ -3,7 +3,7 @@
 use super::origin::Origin;
 use super::overrides;
 use super::run::{Model, RunSpec, Trained};
-use super::search::Trial;
+use super::search::{Search, Trial};
 use super::simulation::Simulation;
 use super::types::{Experiment, Reading, Task, Training};
 use super::world::{Known, World};
@@ -12,7 +12,7 @@ use harness_yaml::{Entry, Node, Place};
 use serde_json::Value as Json;
 use std::borrow::Cow;
 use std::collections::hash_map;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -90,8 +90,8 @@ impl Experiment {
     /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
     pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &Json)> {
         let names: Vec<&str> = run.variant_parts().0.split(',').collect();
-        let several = self.vary.iter().filter(|(key, values)| *key != DATASET_SEED && values.len() > 1);
-        let own = several.filter_map(|(key, values)| {
+        let own = self.vary.iter().filter(|(key, _)| *key != DATASET_SEED).filter_map(|(key, values)| {
+            let values = values.as_array().filter(|values| values.len() > 1)?;
             let value = values.iter().find(|value| names.contains(&named(key, value).as_str()))?;
             Some((key.as_str(), value))
         });
@@ -112,10 +112,9 @@ impl Experiment {
         variants.collect()
     }
 
-    /// Returns the experiment with its own settings alone: without readings, roles, varied settings and trials.
+    /// Returns the experiment with its own settings alone, without those of its axes.
     pub(super) fn alone(&self) -> Experiment {
-        let (readings, roles, vary) = (Vec::new(), serde_json::Map::new(), BTreeMap::new());
-        Self { readings, roles, vary, search: None, ..self.clone() }
+        Self { readings: Vec::new(), vary: serde_json::Map::new(), search: None, ..self.clone() }
     }
 
     /// Returns the names of the readings, [`Reading::BASE`] first.
@@ -133,42 +132,44 @@ impl Experiment {
         std::iter::once(&self.name).chain(others).cloned().collect()
     }
 
-    /// Whether the experiment has readings, roles, varied settings or trials, which change its own settings.
+    /// Whether the experiment has axes, whose settings change its own.
     pub(super) fn has_variants(&self) -> bool {
-        !(self.readings.is_empty() && self.roles.is_empty() && self.vary.is_empty() && self.search.is_none())
+        !(self.readings.is_empty() && self.vary.is_empty() && self.search.is_none())
     }
 
-    /// Returns every combination of a reading, a role, the settings under `vary` and a trial; a single empty
-    /// combination if the experiment has none of them.
-    pub(super) fn combinations<'a>(&'a self) -> Vec<Combination<'a>> {
-        let mut combinations = vec![Combination::default()];
-        if !self.roles.is_empty() {
-            let role = |(name, role): (&'a String, &'a Json)| {
-                let settings = role.as_object().into_iter().flatten();
-                Combination::of("role", name, settings.map(|(key, value)| (key.as_str(), value)))
-            };
-            combinations = self.roles.iter().map(role).collect();
-        }
+    /// Returns everything in which runs differ besides scenario, latent size and seed: the readings, the axes with
+    /// labels and then the settings under `vary`, in the order of the spec, and the trials of the search.
+    pub(super) fn axes(&self) -> Vec<Axis<'_>> {
+        let mut axes = Vec::new();
         if !self.readings.is_empty() {
-            let reading = |one: &'a Reading| {
-                let settings = one.settings.iter().map(|(key, value)| (key.as_str(), value));
-                Combination::of("reading", &one.name, settings)
-            };
-            let base = Combination::of("reading", Reading::BASE, std::iter::empty());
-            let readings = std::iter::once(base).chain(self.readings.iter().map(reading));
-            combinations = readings
-                .flat_map(|reading| combinations.iter().map(move |role| role.under(&reading)))
-                .collect();
+            let base = std::iter::once(Point::labeled(Kind::Reading, "reading", Reading::BASE, []));
+            let others = self.readings.iter();
+            let others = others.map(|one| Point::labeled(Kind::Reading, "reading", &one.name, &one.settings));
+            axes.push(base.chain(others).collect());
         }
-        for (key, values) in &self.vary {
-            combinations = combinations.iter().flat_map(|one| one.each_value(key, values)).collect();
-        }
+        axes.extend(self.vary.iter().filter_map(|(axis, labels)| -> Option<Axis<'_>> {
+            let points = labels.as_object()?.iter().map(|(label, settings)| {
+                let settings = settings.as_object().into_iter().flatten();
+                Point::labeled(Kind::Labels, axis, label, settings)
+            });
+            Some(points.collect())
+        }));
+        axes.extend(self.vary.iter().filter_map(|(key, values)| -> Option<Axis<'_>> {
+            Some(values.as_array()?.iter().map(|value| Point::value(key, value)).collect())
+        }));
         if let Some(search) = &self.search {
-            let trials = search.draw();
-            let keys: Vec<&str> = search.space.keys().map(String::as_str).collect();
-            combinations = combinations.iter().flat_map(|one| one.each_trial(&keys, &trials)).collect();
+            let trials = search.draw().into_iter().enumerate();
+            axes.push(trials.map(|(number, trial)| Point::trial(search, number, trial)).collect());
         }
-        combinations
+        axes
+    }
+
+    /// Returns every combination of a point of each axis; a single empty combination if there are no axes.
+    pub(super) fn combinations(&self) -> Vec<Combination<'_>> {
+        let start = vec![Combination { points: Vec::new() }];
+        self.axes().into_iter().fold(start, |all, axis| {
+            all.iter().flat_map(|one| axis.iter().map(|point| one.with(point))).collect()
+        })
     }
 
     fn run(&self, scenario: &Origin, variant: &str, latent: usize, seed: u64) -> RunSpec {
@@ -234,57 +235,82 @@ impl Experiment {
     }
 }
 
-/// One combination of the readings, roles and varied settings of an experiment.
-#[derive(Clone, Default)]
-pub(super) struct Combination<'a> {
-    /// Parts of the name: `reading=base`, `kl_weight=0.001`.
-    names: Vec<String>,
-    /// Settings by dotted key. If a key occurs twice, the later value is used.
+/// One way in which runs differ. Each run has one of its points.
+type Axis<'a> = Vec<Point<'a>>;
+
+/// What makes an axis, in the order in which settings are applied. If a setting occurs twice, the later value is used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    Labels,
+    Reading,
+    Values,
+    Trial,
+}
+
+/// A label or a value of an axis.
+#[derive(Clone)]
+pub(super) struct Point<'a> {
+    kind: Kind,
+    /// Name of the axis: that of its labels, or the dotted key of the setting.
+    axis: &'a str,
+    /// The part of the variant that names it: `senses=camera`, `kl_weight=0.001`. Runs on several datasets belong to
+    /// the same variant, as do runs with several seeds, so the seed of the dataset has no name.
+    name: Option<String>,
+    /// Settings by dotted key.
     settings: Vec<(&'a str, Cow<'a, Json>)>,
 }
 
+impl<'a> Point<'a> {
+    fn labeled(
+        kind: Kind,
+        axis: &'a str,
+        label: &str,
+        settings: impl IntoIterator<Item = (&'a String, &'a Json)>,
+    ) -> Self {
+        let settings = settings.into_iter().map(|(key, value)| (key.as_str(), Cow::Borrowed(value)));
+        Self { kind, axis, name: Some(format!("{axis}={label}")), settings: settings.collect() }
+    }
+
+    fn value(key: &'a str, value: &'a Json) -> Self {
+        let name = (key != DATASET_SEED).then(|| named(key, value));
+        Self { kind: Kind::Values, axis: key, name, settings: vec![(key, Cow::Borrowed(value))] }
+    }
+
+    /// The keys are those of the search's space, which are in the same order as those of the trial.
+    fn trial(search: &'a Search, number: usize, trial: Trial) -> Self {
+        // An experiment has at most 10,000 runs. All numbers have the same length, so that they are sorted as texts.
+        let names = std::iter::once(format!("trial={number:04}"));
+        let names: Vec<String> = names.chain(trial.iter().map(|(key, value)| named(key, value))).collect();
+        let settings =
+            search.space.keys().map(String::as_str).zip(trial.into_values().map(Cow::Owned)).collect();
+        Self { kind: Kind::Trial, axis: "trial", name: Some(names.join(",")), settings }
+    }
+}
+
+/// One combination of the points of an experiment's axes, in the order of the axes.
+pub(super) struct Combination<'a> {
+    points: Vec<Point<'a>>,
+}
+
 impl<'a> Combination<'a> {
-    /// Returns the combination of one named group of settings.
-    fn of(kind: &str, name: &str, settings: impl Iterator<Item = (&'a str, &'a Json)>) -> Self {
-        let settings = settings.map(|(key, value)| (key, Cow::Borrowed(value))).collect();
-        Self { names: vec![format!("{kind}={name}")], settings }
+    fn with(&self, point: &Point<'a>) -> Self {
+        Self { points: [&*self.points, std::slice::from_ref(point)].concat() }
     }
 
-    /// Returns this combination with the settings of a reading, which replace its own. The reading is named first.
-    fn under(&self, reading: &Self) -> Self {
-        Self {
-            names: [&*reading.names, &*self.names].concat(),
-            settings: [&*self.settings, &*reading.settings].concat(),
-        }
+    /// The points in the order in which their settings are applied.
+    fn applied(&self) -> Vec<&Point<'a>> {
+        let mut points: Vec<&Point> = self.points.iter().collect();
+        points.sort_by_key(|point| point.kind);
+        points
     }
 
-    /// Returns this combination extended by each value of a setting.
-    fn each_value(&self, key: &'a str, values: &'a [Json]) -> Vec<Self> {
-        let with = |value: &'a Json| {
-            let mut combination = self.clone();
-            // Runs on several datasets belong to the same variant, as do runs with several seeds.
-            if key != DATASET_SEED {
-                combination.names.push(named(key, value));
-            }
-            combination.settings.push((key, Cow::Borrowed(value)));
-            combination
-        };
-        values.iter().map(with).collect()
-    }
-
-    /// Returns this combination extended by each trial's settings, which have these keys.
-    fn each_trial(&self, keys: &[&'a str], trials: &[Trial]) -> Vec<Self> {
-        let with = |(number, trial): (usize, &Trial)| {
-            let mut combination = self.clone();
-            // An experiment has at most 10,000 runs. All numbers have the same length, so that they are sorted as
-            // texts.
-            combination.names.push(format!("trial={number:04}"));
-            combination.names.extend(trial.iter().map(|(key, value)| named(key, value)));
-            let settings = keys.iter().zip(trial.values());
-            combination.settings.extend(settings.map(|(key, value)| (*key, Cow::Owned(value.clone()))));
-            combination
-        };
-        trials.iter().enumerate().map(with).collect()
+    /// Returns the part of the name for the point whose value of a setting the combination uses, or the axis if it has
+    /// none; `None` if no axis has the setting.
+    pub fn origin(&self, key: &str) -> Option<&str> {
+        let has = |point: &&Point| point.settings.iter().any(|(own, _)| *own == key);
+        let point = self.applied().into_iter().rfind(has)?;
+        // The names of trials also list their settings.
+        point.name.as_deref().map_or(Some(point.axis), |name| name.split(',').next())
     }
 
     /// Returns the tree of a spec with these settings. Each is `written` in the spec, or else drawn by its search.
@@ -297,19 +323,28 @@ impl<'a> Combination<'a> {
             })
         };
         let mut combined = tree.clone();
-        overrides::apply(&mut combined, &self.settings.iter().map(entry).collect::<Vec<_>>());
+        let settings = self.applied().into_iter().flat_map(|point| &point.settings);
+        overrides::apply(&mut combined, &settings.map(entry).collect::<Vec<_>>());
         combined
     }
 
     /// Whether the combination has this value of a varied setting. Values are told apart by their place in the spec.
     pub fn has(&self, key: &str, value: &Json) -> bool {
         let is = |given: &Cow<_>| matches!(given, Cow::Borrowed(given) if std::ptr::eq(*given, value));
-        self.settings.iter().any(|(own, given)| *own == key && is(given))
+        let settings = self.points.iter().filter(|point| point.axis == key).flat_map(|point| &point.settings);
+        settings.into_iter().any(|(own, given)| *own == key && is(given))
     }
 
-    /// Returns the name: `reading=base,role=multi_to_multi` or `kl_weight=0.001,hidden=64`. It is a valid folder name.
+    /// Returns the name: `reading=base,senses=camera` or `hidden=64,kl_weight=0.001`. It is a valid folder name.
+    ///
+    /// Settings are in alphabetical order, so that the order of the axes does not change the names of runs.
     pub fn name(&self) -> String {
-        self.names.join(",")
+        let mut points: Vec<&Point> = self.points.iter().collect();
+        points.sort_by_key(|point| {
+            let key = if point.kind == Kind::Values { point.axis } else { "" };
+            (point.kind != Kind::Reading, point.kind, key)
+        });
+        points.iter().filter_map(|point| point.name.as_deref()).collect::<Vec<_>>().join(",")
     }
 }
 

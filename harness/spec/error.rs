@@ -53,6 +53,9 @@ impl SpecError {
         let message = problem.message;
         match problem.place {
             Place::File { line, column } => Self::Invalid { path: path.into(), line, column, message },
+            Place::Base { path, line, column } => {
+                Self::Invalid { path: path.to_string(), line, column, message }
+            }
             Place::Override(text) => Self::Override { text, message },
         }
     }

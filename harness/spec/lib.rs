@@ -5,10 +5,11 @@
 //! the order of [`Modality`], and `quick` is applied or dropped. Two specs with the same meaning are therefore equal.
 //! Derived values are not stored.
 
-mod ablation;
 mod built_in;
 mod cells;
 mod error;
+mod explain;
+mod extends;
 mod factor;
 mod hints;
 mod mapping;
@@ -24,10 +25,12 @@ mod text;
 mod types;
 mod validate;
 mod values;
+mod vary;
 mod world;
 
 pub use built_in::{BuiltIn, SPECS, YamlFile, find};
 pub use error::SpecError;
+pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use harness_layout::{
     CLASS_COLORS, Definition, Element, Episode, GivenScaling, GivenScalings, Group, IMAGE_CHANNELS, Kind,
@@ -36,8 +39,8 @@ pub use harness_layout::{
 };
 pub use mapping::{mapping_schema, read_mapping};
 pub use origin::{Origin, Scenario};
-pub use run::{Model, RunSpec, Trained, model_parts, variant_parts};
-pub use schema::{schema, setting_names, varied_setting};
+pub use run::{Model, RunSpec, Trained, label_in, model_parts, variant_parts};
+pub use schema::{is_axis, schema, setting_names, varied_setting};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};
 pub use text::read_text;
@@ -47,10 +50,11 @@ pub use world::*;
 
 use cells::Combination;
 use harness_yaml::{Entry, Node, Problem, Value, parse, shorten};
-use overrides::VARY;
+use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use vary::VARY;
 
 /// Reads and resolves a spec: a file, or one of [`SPECS`] by its name, as [`find`] does. It applies the spec's `quick`
 /// settings if `quick` is true, and then `overrides`.
@@ -63,8 +67,7 @@ use std::sync::Arc;
 /// Returns the first fault of the spec in the file, of its `quick` settings (even if they are not applied), or of the
 /// overrides.
 pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
-    let YamlFile { label, folder, text } = find("experiment", path, SPECS)?;
-    parse_in(&folder, &label, &text, overrides, quick, Purpose::Training)
+    parse_in(&find("experiment", path, SPECS)?, overrides, quick, Purpose::Training)
 }
 
 /// Resolves a spec like [`load`], but not for training: to collect its data, or to judge models of other programs. The
@@ -73,8 +76,7 @@ pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment
 /// # Errors
 /// See [`load`].
 pub fn load_task(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
-    let YamlFile { label, folder, text } = find("experiment", path, SPECS)?;
-    parse_in(&folder, &label, &text, overrides, quick, Purpose::Task)
+    parse_in(&find("experiment", path, SPECS)?, overrides, quick, Purpose::Task)
 }
 
 /// Resolves a spec like [`load`], but from its text. Messages call the text `path`, and the paths of world files are
@@ -88,7 +90,7 @@ pub fn parse_spec(
     overrides: &[String],
     quick: bool,
 ) -> Result<Experiment, SpecError> {
-    parse_in(folder_of(path), path, text, overrides, quick, Purpose::Training)
+    parse_in(&file_of(path, text), overrides, quick, Purpose::Training)
 }
 
 /// Resolves a spec like [`load_task`], but from its text, as [`parse_spec`] does.
@@ -96,11 +98,12 @@ pub fn parse_spec(
 /// # Errors
 /// See [`load`].
 pub fn parse_task(path: &str, text: &str) -> Result<Experiment, SpecError> {
-    parse_in(folder_of(path), path, text, &[], false, Purpose::Task)
+    parse_in(&file_of(path, text), &[], false, Purpose::Task)
 }
 
-fn folder_of(path: &str) -> &Path {
-    Path::new(path).parent().unwrap_or(Path::new(""))
+fn file_of(path: &str, text: &str) -> YamlFile {
+    let folder = Path::new(path).parent().unwrap_or(Path::new("")).to_owned();
+    YamlFile { label: path.to_owned(), folder, text: text.to_owned().into() }
 }
 
 /// What a spec is read for.
@@ -113,16 +116,14 @@ enum Purpose {
 }
 
 fn parse_in(
-    folder: &Path,
-    label: &str,
-    text: &str,
+    file: &YamlFile,
     overrides: &[String],
     quick: bool,
     purpose: Purpose,
 ) -> Result<Experiment, SpecError> {
-    let mut worlds = WorldFiles { folder, purpose, read: BTreeMap::new() };
-    let mut experiment =
-        load_text(&mut worlds, text, overrides, quick).map_err(|problem| SpecError::of(problem, label))?;
+    let mut worlds = WorldFiles { folder: &file.folder, purpose, read: BTreeMap::new() };
+    let read = load_tree(&mut worlds, file, overrides, quick);
+    let (_, mut experiment) = read.map_err(|problem| SpecError::of(problem, &file.label))?;
     if quick {
         experiment.name.push_str(QUICK);
     }
@@ -135,13 +136,14 @@ pub const QUICK: &str = "-quick";
 const NOT_QUICK: &str = "there is no 'quick' section, so a quick run would be the full one under another name; add the \
                          section, or leave out --quick";
 
-fn load_text(
+/// Returns the tree of a spec with its quick settings and overrides, and the experiment that it describes.
+fn load_tree(
     worlds: &mut WorldFiles,
-    text: &str,
+    file: &YamlFile,
     overrides: &[String],
     quick: bool,
-) -> Result<Experiment, Problem> {
-    let mut tree = parse(text)?;
+) -> Result<(Node, Experiment), Problem> {
+    let mut tree = extends::read(file)?;
     if matches!(tree.value, Value::Null) {
         return Err(Problem::new(
             &tree.place,
@@ -154,8 +156,9 @@ fn load_text(
     if worlds.purpose == Purpose::Task {
         add_network(&mut tree);
     }
+    vary::move_roles(&mut tree)?;
     schema::list_single_values(&mut tree);
-    ablation::list_inputs(&mut tree)?;
+    vary::complete(&mut tree)?;
     resolve(worlds, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {
@@ -172,10 +175,10 @@ fn load_text(
     let overrides = overrides::read_all(overrides)?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
-    ablation::list_inputs(&mut tree)?;
+    vary::complete(&mut tree)?;
     let experiment = resolve(worlds, &tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(worlds, &tree, &experiment)?;
-    Ok(experiment)
+    Ok((tree, experiment))
 }
 
 /// Adds a network to a spec that has none. Nothing uses it.
@@ -214,14 +217,12 @@ fn other_file(tree: &Node) -> Option<&'static str> {
     }
 }
 
-/// Checks the experiment with each combination of a reading, a role, the settings under `vary` and a trial.
+/// Checks the experiment with each combination of the points of its axes.
 fn check_variants(worlds: &mut WorldFiles, tree: &Node, experiment: &Experiment) -> Result<(), Problem> {
-    let written = varied_settings(tree);
-    let outputs = outputs(tree, &written);
+    let variant = Variants::of(tree);
     let mut variants = Vec::new();
     for combination in experiment.combinations() {
-        let mut tree = combination.applied_to(tree, &written);
-        leave_out_losses_of(&mut tree, &outputs);
+        let tree = variant.tree(&combination);
         let name = combination.name();
         let what = if name.is_empty() { "'vary'" } else { &name };
         let variant = resolve(worlds, &tree).map_err(|problem| problem.after(&format!("applying {what}")))?;
@@ -230,6 +231,29 @@ fn check_variants(worlds: &mut WorldFiles, tree: &Node, experiment: &Experiment)
         }
     }
     check_different(tree, experiment, &variants)
+}
+
+/// What the trees of an experiment's variants are made of.
+struct Variants<'a> {
+    tree: &'a Node,
+    /// The settings that the tree varies, as written in it.
+    written: Vec<Entry>,
+    /// The names of all modalities that some variant predicts.
+    outputs: BTreeSet<String>,
+}
+
+impl<'a> Variants<'a> {
+    fn of(tree: &'a Node) -> Self {
+        let written = varied_settings(tree);
+        Self { tree, outputs: outputs(tree, &written), written }
+    }
+
+    /// Returns the tree with the settings of one combination.
+    fn tree(&self, combination: &Combination) -> Node {
+        let mut tree = combination.applied_to(self.tree, &self.written);
+        leave_out_losses_of(&mut tree, &self.outputs);
+        tree
+    }
 }
 
 /// The key of the predicted modalities.
@@ -249,7 +273,7 @@ fn names_in(node: &Node) -> Vec<String> {
 }
 
 /// Removes losses and their weights of modalities that other combinations predict and this one does not. A reading can
-/// then weight the outputs of all roles.
+/// then weight the outputs of all labels.
 fn leave_out_losses_of(tree: &mut Node, outputs: &BTreeSet<String>) {
     let own = tree.get(OUTPUT).map(names_in).unwrap_or_default();
     for key in ["losses", "loss_weights"] {
@@ -266,7 +290,8 @@ fn check_different(
     experiment: &Experiment,
     variants: &[(Combination, Experiment)],
 ) -> Result<(), Problem> {
-    for (key, values) in &experiment.vary {
+    let values_of = |(key, values)| Some((key, Json::as_array(values)?));
+    for (key, values) in experiment.vary.iter().filter_map(values_of) {
         // The variants of two values have the same order.
         let of = |value| variants.iter().filter(move |(combination, _)| combination.has(key, value));
         let of: Vec<Vec<&Experiment>> =
@@ -295,12 +320,13 @@ fn varied_settings(tree: &Node) -> Vec<Entry> {
         _ => Vec::new(),
     };
     let of_readings = list(tree.get("readings")).into_iter().flat_map(|one| section(one.get("settings")));
-    let of_roles = section(tree.get("roles")).into_iter().flat_map(|role| section(Some(&role.node)));
-    let varied = section(tree.get("vary")).into_iter().flat_map(|entry| {
-        let values = list(Some(&entry.node)).into_iter();
-        values.map(move |node| Entry { node, ..entry.clone() }).collect::<Vec<_>>()
+    let varied = section(tree.get(VARY)).into_iter().flat_map(|axis| match &axis.node.value {
+        Value::Section(labels) => labels.iter().flat_map(|label| section(Some(&label.node))).collect(),
+        _ => {
+            list(Some(&axis.node)).into_iter().map(|node| Entry { node, ..axis.clone() }).collect::<Vec<_>>()
+        }
     });
-    of_readings.chain(of_roles).chain(varied).collect()
+    of_readings.chain(varied).collect()
 }
 
 /// Returns the experiment that a tree describes, checked and with every default explicit.

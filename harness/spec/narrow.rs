@@ -3,8 +3,10 @@
 use super::cells::{DATASET_SEED, named};
 use super::origin::Origin;
 use super::run::RunSpec;
+use super::schema::WITHOUT;
+use super::vary;
+use harness_yaml::parse;
 use serde_json::{Value as Json, json};
-use std::collections::BTreeMap;
 
 impl RunSpec {
     /// Narrows an override (`KEY=VALUE`) of the experiment to this run: `seeds=[0,1,2]` becomes `seeds=[1]` for a run
@@ -30,25 +32,32 @@ impl RunSpec {
         Some(format!("scenarios=[{}]", String::from(own)))
     }
 
-    /// Returns the override of `vary` with only this run's values.
-    fn own_variant(&self, varied: &str) -> Option<String> {
-        let mut varied: BTreeMap<String, Json> = serde_yaml::from_str(varied).ok()?;
-        for (key, values) in &mut varied {
-            if values.is_object() {
-                *values = json!([self.varied_input()?]);
-            }
-            let values = values.as_array_mut()?;
-            let is_own = |value: &Json| match key.as_str() {
+    /// Returns the override of `vary` with only this run's values and labels.
+    fn own_variant(&self, given: &str) -> Option<String> {
+        let mut given = parse(given).ok()?;
+        let mut axes = Vec::new();
+        vary::axes(Some(&mut given), None).ok()?;
+        for (key, axis) in given.to_json().as_object()? {
+            let is_own = |name: String| self.variant.split(',').any(|own| own == name);
+            let is_own_value = |value: &Json| match key.as_str() {
                 DATASET_SEED => value.as_u64() == Some(self.dataset_seed()),
-                _ => self.variant.split(',').any(|own| own == named(key, value)),
+                _ => is_own(named(key, value)),
             };
-            values.retain(is_own);
-            if values.is_empty() {
-                return None;
-            }
+            let own = match axis {
+                Json::Object(labels) if !labels.contains_key(WITHOUT[0]) => {
+                    let (label, settings) =
+                        labels.iter().find(|(label, _)| is_own(format!("{key}={label}")))?;
+                    json!({ label: settings })
+                }
+                Json::Object(_) => json!([self.varied_input()?]),
+                Json::Array(values) => json!([values.iter().find(|value| is_own_value(value))?]),
+                _ => return None,
+            };
+            axes.push((key.clone(), own));
         }
-        Some(format!("vary={}", serde_json::to_string(&varied).ok()?))
+        Some(format!("vary={}", Json::Object(axes.into_iter().collect())))
     }
+
     /// Returns the input that the run's variant names, in the order of the spec.
     fn varied_input(&self) -> Option<Vec<&str>> {
         let input = self.variant.split(',').find_map(|part| part.strip_prefix("input="))?;

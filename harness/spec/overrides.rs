@@ -2,15 +2,13 @@
 
 use super::schema;
 use super::text::MAX_FILE_BYTES;
+use super::vary::VARY;
 use harness_yaml::{Entry, Node, Place, Problem, Value, parse, shorten, unknown};
 
-/// Key of the settings that are tried in every combination.
-pub(super) const VARY: &str = "vary";
 /// Key of the settings that are drawn.
 const SEARCH: &str = "search";
-/// Keys of the other readings, and of the experiments that runs stand for.
+/// Key of the other readings.
 const READINGS: &str = "readings";
-const ROLES: &str = "roles";
 
 /// Reads settings, each written as `KEY=VALUE`.
 pub(super) fn read_all(texts: &[String]) -> Result<Vec<Entry>, Problem> {
@@ -87,9 +85,27 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
             remove(tree, SEARCH);
             continue;
         }
-        set(tree, &setting.key, setting);
+        match setting.key == VARY {
+            true => set(tree, VARY, &with_labels(tree, setting)),
+            false => set(tree, &setting.key, setting),
+        }
         try_alone(tree, setting);
     }
+}
+
+/// Adds to new axes those of a tree that have labels, so that they replace only the values of settings.
+fn with_labels(tree: &Node, vary: &Entry) -> Entry {
+    let mut vary = vary.clone();
+    let has = |node: &Node, key: &str| node.get(key).is_some();
+    if let Some(Node { value: Value::Section(axes), .. }) = tree.get(VARY) {
+        let is_kept =
+            |axis: &&Entry| matches!(axis.node.value, Value::Section(_)) && !has(&vary.node, &axis.key);
+        let kept: Vec<Entry> = axes.iter().filter(is_kept).cloned().collect();
+        if let Value::Section(own) = &mut vary.node.value {
+            own.splice(0..0, kept);
+        }
+    }
+    vary
 }
 
 /// Removes a key of a section.
@@ -99,13 +115,17 @@ fn remove(section: &mut Node, key: &str) {
     }
 }
 
-/// Replaces all values of a varied or drawn setting by this one, also in readings and roles.
+/// Replaces all values of a varied or drawn setting by this one, also in readings and labels.
 fn try_alone(tree: &mut Node, setting: &Entry) {
-    if let Some(Node { value: Value::Section(varied), .. }) = tree.get_mut(VARY)
-        && let Some(entry) = varied.iter_mut().find(|entry| entry.key == setting.key)
-    {
-        let only = setting.node.clone();
-        entry.node = Node { place: only.place.clone(), value: Value::List(vec![only]) };
+    if let Some(Node { value: Value::Section(axes), .. }) = tree.get_mut(VARY) {
+        for axis in axes {
+            if let Value::Section(labels) = &mut axis.node.value {
+                labels.iter_mut().for_each(|label| replace(&mut label.node, setting));
+            } else if axis.key == setting.key {
+                let only = setting.node.clone();
+                axis.node = Node { place: only.place.clone(), value: Value::List(vec![only]) };
+            }
+        }
     }
     if let Some(node) = tree.get_mut(SEARCH).and_then(|search| search.get_mut("space")?.get_mut(&setting.key))
     {
@@ -119,9 +139,6 @@ fn try_alone(tree: &mut Node, setting: &Entry) {
             .iter_mut()
             .filter_map(|reading| reading.get_mut("settings"))
             .for_each(|of| replace(of, setting));
-    }
-    if let Some(Node { value: Value::Section(roles), .. }) = tree.get_mut(ROLES) {
-        roles.iter_mut().for_each(|role| replace(&mut role.node, setting));
     }
 }
 

@@ -23,8 +23,8 @@ pub struct RunSpec {
     pub input: Vec<Modality>,
     /// Output modalities of the model, in the order of [`Modality`].
     pub output: Vec<Modality>,
-    /// The reading, the role, the varied settings and the trial with its settings: `reading=base,role=single_to_multi`,
-    /// `kl_weight=0.001,hidden=64` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing.
+    /// The reading, the labels, the varied settings and the trial with its settings: `reading=base,senses=camera`,
+    /// `hidden=64,kl_weight=0.001` or `trial=0017,learning_rate=0.00127`. It is empty if the experiment varies nothing.
     /// The seed of the dataset is left out.
     pub variant: String,
     /// Seed of the initial weights, the sampling and the order of batches.
@@ -321,12 +321,12 @@ impl RunSpec {
 
     /// Returns the name of the run's reading; `None` if its experiment has no readings.
     pub fn reading(&self) -> Option<&str> {
-        self.named("reading")
+        label_in(&self.variant, "reading")
     }
 
-    /// Returns the name of the run's role; `None` if its experiment has no roles.
+    /// Returns the label of the axis `role`; `None` if the run's experiment has no such axis.
     pub fn role(&self) -> Option<&str> {
-        self.named("role")
+        label_in(&self.variant, "role")
     }
 
     /// Returns the number of the run's trial; `None` if its experiment is no search.
@@ -342,12 +342,6 @@ impl RunSpec {
     /// Divides the variant; see [`variant_parts`].
     pub fn variant_parts(&self) -> (&str, Option<&str>, &str) {
         variant_parts(&self.variant)
-    }
-
-    /// Returns the value of a key in the variant.
-    fn named(&self, key: &str) -> Option<&str> {
-        let parts = self.variant.split(',').filter_map(|part| part.split_once('='));
-        parts.filter(|(own, _)| *own == key).map(|(_, value)| value).next()
     }
 
     /// Returns the name of the cell, which is unique within an experiment: `cluttered-z64`,
@@ -376,6 +370,12 @@ impl RunSpec {
 /// Returns the first 16 hexadecimal digits of the SHA-256 of a text.
 fn digits(text: &str) -> String {
     hex(&Sha256::digest(text)[..8])
+}
+
+/// Returns the label of an axis in a variant: `camera` of `senses` in `senses=camera,hidden=64`.
+pub fn label_in<'a>(variant: &'a str, axis: &str) -> Option<&'a str> {
+    let parts = variant.split(',').filter_map(|part| part.split_once('='));
+    parts.filter(|(own, _)| *own == axis).map(|(_, label)| label).next()
 }
 
 /// Divides a variant into the part that cells of networks have as well, and the name of the external model.

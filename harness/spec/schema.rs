@@ -4,13 +4,15 @@ use super::hints::HINTS;
 use super::origin::{IMPORTED_NAME, Origin};
 use super::simulation::Setting;
 use super::types::Experiment;
+use super::vary::EXTENDS;
 use super::world::World;
 use harness_yaml::{
-    Node, Problem, allow_single_values, check_against, join, key_pattern, list_single, properties, property,
-    resolve, takes_one_item, types,
+    Node, Problem, allow_single_values, check_against, is_name, join, key_pattern, list_single, properties,
+    property, resolve, takes_one_item, types,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
+use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
 /// The key and the value of an ablation of each modality of the input.
@@ -37,7 +39,23 @@ pub fn schema() -> Json {
         schema["$defs"][definition_of(kinds)] = distributions(&json!({}), kinds, json!({}));
     }
     allow_single_values(&mut schema);
+    add_extends(&mut schema);
     schema
+}
+
+/// Adds the keys that a spec no longer has when it is checked. What it extends may have the keys that it needs.
+fn add_extends(schema: &mut Json) {
+    let text = |description: &str| json!({ "description": description, "type": "string" });
+    schema["properties"][EXTENDS] = text(
+        "The spec on which this one builds: the path of a file, or a built-in experiment. Sections are merged key by \
+         key, everything else replaces what the other spec has.",
+    );
+    schema["$defs"]["Settings"]["properties"][EXTENDS] =
+        text("The label of this axis on which this one builds.");
+    let required = schema["required"].take();
+    schema["required"] = json!(["name"]);
+    schema["anyOf"] = json!([{ "required": [EXTENDS] }, { "required": required }]);
+    schema["$defs"]["Network"].as_object_mut().map(|network| network.remove("required"));
 }
 
 /// The distributions of numbers, of integers, and of all other settings in a search.
@@ -75,10 +93,14 @@ fn build() -> Json {
         own.map(|(key, setting)| (key.clone(), setting.clone())).collect()
     };
     set_keys(&mut schema["properties"]["vary"], of(&varies).into_iter().map(several));
-    let mut of_variants = json!({ "type": "object" });
-    set_keys(&mut of_variants, of(&|key| varies(key) || key == "latent"));
-    schema["$defs"]["Settings"] = of_variants;
-    schema["properties"]["roles"]["additionalProperties"] = json!({ "$ref": "#/$defs/Settings" });
+    let mut of_labels = json!({ "type": "object" });
+    set_keys(&mut of_labels, of(&|key| varies(key) || key == "latent"));
+    schema["$defs"]["Settings"] = of_labels;
+    schema["$defs"]["Labels"] = json!({
+        "description": "An axis with a name: each label has the settings in which it differs from the spec.",
+        "type": "object", "additionalProperties": { "$ref": "#/$defs/Settings" }, "minProperties": 1,
+    });
+    schema["properties"]["vary"]["additionalProperties"] = json!({ "$ref": "#/$defs/Labels" });
     set_keys(&mut schema["$defs"]["Reading"]["properties"]["settings"], of(&varies));
     let drawn = of(&|key| varies(key) && draws(key));
     let drawn = drawn.into_iter().map(|(key, setting)| (key, candidates(&schema, &setting)));
@@ -123,10 +145,10 @@ fn add_settings_of_worlds(schema: &mut Json) {
 }
 
 /// The keys of a spec that `quick` and overrides can't replace as a whole.
-const NOT_OVERRIDDEN: [&str; 3] = ["quick", "readings", "roles"];
+const NOT_OVERRIDDEN: [&str; 2] = ["quick", "readings"];
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
-fn varies(key: &str) -> bool {
+pub(super) fn varies(key: &str) -> bool {
     const SECTIONS: [&str; 10] = [
         "input",
         "output",
@@ -252,6 +274,25 @@ pub(super) fn is_list(setting: &str) -> bool {
 /// another name makes.
 pub(super) fn is_setting(key: &str) -> bool {
     setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
+}
+
+/// Whether a name may be that of an axis with labels: no setting has it, and nothing else that tells runs apart.
+pub fn is_axis(name: &str) -> bool {
+    const OTHERS: [&str; 8] =
+        ["scenario", "seed", "variant", "model", "trial", "dataset", "world", "revision"];
+    static SETTINGS: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
+        let sections = properties(&SCHEMA).map(|(name, _)| name.clone());
+        let names = setting_names().into_iter().map(|key| match key.split_once('.') {
+            Some((_section, name)) => name.to_owned(),
+            None => key,
+        });
+        names.chain(sections).collect()
+    });
+    is_name(name)
+        && !OTHERS.contains(&name)
+        && !SETTINGS.contains(name)
+        && !name.contains("_range")
+        && !name.ends_with("_clearance_m")
 }
 
 /// Returns the dotted key of the setting that may vary and has this name: its key, or its key without its section, if

@@ -228,20 +228,18 @@ pub struct Experiment {
     /// Settings of training.
     #[serde(default)]
     pub training: Training,
-    /// Settings to try in every combination, by dotted key: `training.kl_weight: [0, 0.001]`. Each combination has runs
-    /// of its own. `input: {without: each}` stands for the input of the spec, and the input without each of its
-    /// modalities. The column `variant` of the tables names the combination.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub vary: BTreeMap<String, Vec<serde_json::Value>>,
+    /// The axes in which runs differ; each combination has runs of its own. An axis is a setting with its values, by
+    /// dotted key (`training.kl_weight: [0, 0.001]`), or a name with labels, each with the settings in which it differs
+    /// from the spec (`senses: {angles: {input: [proprioception]}}`). A label may extend another one of its axis.
+    /// `input: {without: each}` stands for the input of the spec, and the input without each of its modalities. The
+    /// column `variant` of the tables names the combination.
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub vary: serde_json::Map<String, serde_json::Value>,
     /// Settings to draw from distributions. Each trial is one combination and has runs of its own. The column `variant`
     /// of the tables names the trial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "search")]
     pub search: Option<Search>,
-    /// Named variants, each with the settings in which it differs from the spec, by dotted key. Each has runs of its
-    /// own. The column `role` of the table `runs` names it. Tables and plots have the roles in the order of the spec.
-    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
-    pub roles: serde_json::Map<String, serde_json::Value>,
     /// Alternative interpretations of choices that a paper leaves open. Each has runs of its own. The spec's own
     /// settings are the reading `base`. The column `reading` of the table `runs` names the reading.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -271,10 +269,10 @@ pub struct Reading {
     pub instead: String,
     /// The sentence of the paper that leaves the choice open, with its place.
     pub paper: String,
-    /// The settings that differ from the spec's, by dotted key. They also replace those of a role.
+    /// The settings that differ from the spec's, by dotted key. They also replace those of labels under `vary`.
     pub settings: Settings,
-    /// Runs of other experiments with the settings of this reading, by role. Claims use them until the reading has runs
-    /// of its own for the role.
+    /// Runs of other experiments with the settings of this reading, by label of the axis `role`. Claims use them until
+    /// the reading has runs of its own for the label.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub runs: BTreeMap<String, OtherRuns>,
 }

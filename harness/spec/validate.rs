@@ -1,15 +1,18 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
 use super::origin::Origin;
+use super::schema::is_axis;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
     Device, Division, Experiment, Memory, Network, Precision, Preset, Reading, Settings, Split, Task,
     Training, WindowStart,
 };
+use super::vary::{ROLE, VARY};
 use super::world::World;
 use harness_layout::{Modality, Scale};
 use harness_yaml::{is_name, shorten, unknown};
+use serde_json::{Map, Value as Json};
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.
 const MAX_TENSOR_LEN: usize = 1 << 28;
@@ -47,6 +50,7 @@ fn fault(path: impl Into<String>, message: impl Into<String>) -> Result<(), Faul
 pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     name(&experiment.name)?;
     readings(experiment)?;
+    axes(experiment)?;
     runs(experiment)?;
     scenarios(experiment)?;
     modalities(experiment)?;
@@ -77,14 +81,17 @@ fn name(name: &str) -> Result<(), Fault> {
     fault("name", format!("'{name}' can't name a folder; use 1 to 64 ASCII letters, digits, '_' and '-'"))
 }
 
-/// Refuses names of readings and roles that are invalid or not unique.
+/// Refuses names of readings that are invalid or not unique.
 fn readings(experiment: &Experiment) -> Result<(), Fault> {
     for (index, Reading { name, runs, .. }) in experiment.readings.iter().enumerate() {
-        if let Some(role) = runs.keys().find(|role| !experiment.roles.contains_key(*role)) {
-            let roles: Vec<&str> = experiment.roles.keys().map(String::as_str).collect();
+        let roles: Vec<&str> = match experiment.vary.get(ROLE) {
+            Some(Json::Object(labels)) => labels.keys().map(String::as_str).collect(),
+            _ => Vec::new(),
+        };
+        if let Some(role) = runs.keys().find(|role| !roles.contains(&role.as_str())) {
             let problem = match roles.as_slice() {
-                [] => format!("'{role}' is no role, because the spec has no roles"),
-                roles => format!("'{role}' is no role; the roles are {}", roles.join(", ")),
+                [] => format!("'{role}' is no label of '{VARY}.{ROLE}', because there is no such axis"),
+                roles => format!("'{role}' is no label of '{VARY}.{ROLE}'; these are {}", roles.join(", ")),
             };
             return fault(format!("readings.{index}.runs.{role}"), problem);
         }
@@ -105,6 +112,23 @@ fn readings(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
+/// Refuses names of axes that also mean something else.
+fn axes(experiment: &Experiment) -> Result<(), Fault> {
+    let labeled = experiment.vary.iter().filter(|(_, axis)| axis.is_object());
+    for (name, _) in labeled {
+        let is_taken = name == "reading" && !experiment.readings.is_empty();
+        if is_taken || !is_axis(name) {
+            return fault(
+                format!("{VARY}.{name}"),
+                format!(
+                    "'{name}' can't name an axis with labels, because it has another meaning; use another name"
+                ),
+            );
+        }
+    }
+    Ok(())
+}
+
 /// Message for an invalid name in the column `variant`.
 const NAME_RULE: &str =
     "'{}' can't name a reading; use 1 to 64 lower-case letters, digits and '_', a letter first";
@@ -112,9 +136,10 @@ const NAME_RULE: &str =
 fn runs(experiment: &Experiment) -> Result<(), Fault> {
     let (scenarios, latent) = (experiment.scenarios.len(), experiment.latent.len());
     let seeds = experiment.seeds.len();
+    let product = |all: usize, count: usize| all.saturating_mul(count);
     let readings = if experiment.readings.is_empty() { 1 } else { experiment.readings.len() + 1 };
-    let cells = readings.saturating_mul(experiment.roles.len().max(1));
-    let varied = experiment.vary.values().fold(cells, |all: usize, values| all.saturating_mul(values.len()));
+    let points = |axis: &Json| axis.as_array().map_or_else(|| axis.as_object().map_or(1, Map::len), Vec::len);
+    let varied = experiment.vary.values().map(points).fold(readings, product);
     let trials = experiment.search.as_ref().map_or(1, |search| search.trials);
     let variants = varied.saturating_mul(trials);
     let all = scenarios.saturating_mul(latent).saturating_mul(seeds).saturating_mul(variants);
@@ -629,12 +654,15 @@ fn search(experiment: &Experiment) -> Result<(), Fault> {
     search.check().or_else(|(path, message)| fault(format!("search.{path}"), message))?;
     for key in search.space.keys() {
         let is_in = |settings: &Settings| settings.contains_key(key);
+        let has_label = |axis: &Json| {
+            axis.as_object().is_some_and(|labels| labels.values().any(|one| one.get(key).is_some()))
+        };
         let place = if experiment.vary.contains_key(key) {
-            "vary"
+            VARY.to_owned()
         } else if experiment.readings.iter().any(|reading| is_in(&reading.settings)) {
-            "readings"
-        } else if experiment.roles.values().any(|role| role.get(key).is_some()) {
-            "roles"
+            "readings".to_owned()
+        } else if let Some((axis, _)) = experiment.vary.iter().find(|(_, axis)| has_label(axis)) {
+            format!("{VARY}.{axis}")
         } else {
             continue;
         };

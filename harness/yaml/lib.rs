@@ -12,6 +12,7 @@ pub use check::{
 pub use parse::{Entry, Node, Value, parse, shorten};
 
 use serde_yaml::Location;
+use std::sync::Arc;
 
 /// Regular expression of the names that a user chooses.
 pub const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
@@ -28,6 +29,15 @@ pub fn is_name(text: &str) -> bool {
 pub enum Place {
     /// At a line and a column of the file, counted from 1.
     File {
+        /// The line.
+        line: u64,
+        /// The column.
+        column: u64,
+    },
+    /// At a line and a column of another file, on which the file builds.
+    Base {
+        /// The path of the other file.
+        path: Arc<str>,
         /// The line.
         line: u64,
         /// The column.
@@ -68,7 +78,7 @@ impl Problem {
     /// Adds `what` was done to the file before the problem appeared. A problem in an override says so already.
     #[must_use]
     pub fn after(mut self, what: &str) -> Self {
-        if matches!(self.place, Place::File { .. }) {
+        if !matches!(self.place, Place::Override(_)) {
             self.message = format!("{} (after {what})", self.message);
         }
         self

@@ -88,25 +88,25 @@ impl Node {
     }
 
     /// Returns the value with `place` as the place of all its parts.
-    pub fn attributed_to(mut self, place: &Place) -> Node {
-        self.place = place.clone();
-        self.value = match self.value {
-            Value::List(items) => {
-                Value::List(items.into_iter().map(|item| item.attributed_to(place)).collect())
-            }
-            Value::Section(entries) => Value::Section(
-                entries
-                    .into_iter()
-                    .map(|entry| Entry {
-                        key: entry.key,
-                        key_place: place.clone(),
-                        node: entry.node.attributed_to(place),
-                    })
-                    .collect(),
-            ),
+    #[must_use]
+    pub fn attributed_to(self, place: &Place) -> Node {
+        self.placed(&|_| place.clone())
+    }
+
+    /// Returns the value with the places that `place` makes of the places of its parts.
+    #[must_use]
+    pub fn placed(self, place: &impl Fn(&Place) -> Place) -> Node {
+        let entry = |entry: Entry| Entry {
+            key: entry.key,
+            key_place: place(&entry.key_place),
+            node: entry.node.placed(place),
+        };
+        let value = match self.value {
+            Value::List(items) => Value::List(items.into_iter().map(|item| item.placed(place)).collect()),
+            Value::Section(entries) => Value::Section(entries.into_iter().map(entry).collect()),
             scalar => scalar,
         };
-        self
+        Node { place: place(&self.place), value }
     }
 
     /// Returns a JSON value as a node with `place` as the place of all its parts.

@@ -1,0 +1,93 @@
+//! Specs that build on other specs: `extends: FILE.yaml`.
+
+use super::built_in::{SPECS, YamlFile, beside};
+use super::origin::Origin;
+use super::vary::EXTENDS;
+use harness_yaml::{Node, Place, Problem, Value, parse};
+use std::path::Path;
+use std::sync::Arc;
+
+/// The keys that a spec does not take from the spec on which it builds.
+const OWN: [&str; 2] = ["name", "description"];
+
+/// Returns the tree of a spec with everything that it takes from the spec on which it builds.
+///
+/// # Errors
+/// When the text is not valid YAML, or `extends` names no file that can be read, or a spec extends itself.
+pub(super) fn read(file: &YamlFile) -> Result<Node, Problem> {
+    below(file, &mut vec![file.label.clone()])
+}
+
+/// `chain` has the names of the files that build on this one, and its own.
+fn below(file: &YamlFile, chain: &mut Vec<String>) -> Result<Node, Problem> {
+    let mut own = parse(&file.text)?;
+    let Some(extends) = take(&mut own, EXTENDS) else { return Ok(own) };
+    let refused = |message: String| Problem::new(&extends.place, message);
+    let Value::Text(name) = &extends.value else {
+        return Err(refused(format!("'{EXTENDS}': expected the path of a spec, found {}", extends.value)));
+    };
+    let base = beside(file, name, SPECS).map_err(|error| refused(format!("'{EXTENDS}': {error}")))?;
+    if chain.contains(&base.label) {
+        return Err(refused(format!(
+            "'{EXTENDS}': {} > {}: a spec can't extend itself",
+            chain.join(" > "),
+            base.label
+        )));
+    }
+    chain.push(base.label.clone());
+    let path: Arc<str> = base.label.as_str().into();
+    let in_base = |place: &Place| match place {
+        Place::File { line, column } => Place::Base { path: path.clone(), line: *line, column: *column },
+        other => other.clone(),
+    };
+    let tree =
+        below(&base, chain).map_err(|problem| Problem::new(&in_base(&problem.place), problem.message))?;
+    let mut tree = tree.placed(&in_base);
+    OWN.iter().for_each(|key| drop(take(&mut tree, key)));
+    let folder = Path::new(name).parent().unwrap_or(Path::new(""));
+    tree.get_mut("scenarios").into_iter().for_each(|scenarios| relocate(scenarios, folder));
+    merge(&mut tree, own);
+    Ok(tree)
+}
+
+/// Takes a key out of a section.
+fn take(tree: &mut Node, key: &str) -> Option<Node> {
+    let Value::Section(entries) = &mut tree.value else { return None };
+    let index = entries.iter().position(|entry| entry.key == key)?;
+    Some(entries.remove(index).node)
+}
+
+/// Makes the paths of world files, which are relative to `folder`, relative to the folder above.
+fn relocate(scenarios: &mut Node, folder: &Path) {
+    match &mut scenarios.value {
+        Value::List(items) => items.iter_mut().for_each(|item| relocate(item, folder)),
+        Value::Text(text) if matches!(Origin::try_from(text.clone()), Ok(Origin::File(_))) => {
+            *text = folder.join(&*text).to_string_lossy().into_owned();
+        }
+        _ => {}
+    }
+}
+
+/// Puts `own` over `base`: sections are merged key by key, and everything else replaces what the base has. Nothing in
+/// the place of a section or a list leaves it out.
+fn merge(base: &mut Node, own: Node) {
+    match (&mut base.value, own.value) {
+        (Value::Section(entries), Value::Section(own_entries)) => {
+            for entry in own_entries {
+                let Some(index) = entries.iter().position(|other| other.key == entry.key) else {
+                    entries.push(entry);
+                    continue;
+                };
+                let is_part = matches!(entries[index].node.value, Value::Section(_) | Value::List(_));
+                if is_part && matches!(entry.node.value, Value::Null) {
+                    entries.remove(index);
+                    continue;
+                }
+                entries[index].key_place = entry.key_place;
+                merge(&mut entries[index].node, entry.node);
+            }
+        }
+        (value, own_value) => *value = own_value,
+    }
+    base.place = own.place;
+}

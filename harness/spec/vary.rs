@@ -1,0 +1,153 @@
+//! Writes every axis of `vary` in its full form: a list of values, or labels with all of their settings.
+
+use super::hints::HINTS;
+use super::schema::{self, WITHOUT};
+use harness_yaml::{Entry, Node, Problem, Value, unknown};
+
+/// Key of the axes in which runs differ.
+pub(super) const VARY: &str = "vary";
+/// Key of the label, or of the spec, on which another one builds.
+pub(super) const EXTENDS: &str = "extends";
+/// Name of the axis whose labels were under `roles` in earlier versions, and which claims compare under `readings`.
+pub(super) const ROLE: &str = "role";
+/// Key of the labels of [`ROLE`] in specs of earlier versions.
+const ROLES: &str = "roles";
+/// The key of the modalities that the encoder gets.
+const INPUT: &str = "input";
+
+/// Completes the axes of a spec and those under its `quick`.
+///
+/// - A label gets the settings of the label that it extends. Its own replace them.
+/// - `input: {without: each}` becomes a list: the input of the spec, and the input without each of its modalities, in
+///   the order of the spec.
+///
+/// # Errors
+/// When an axis is neither a setting nor has labels, when a label extends an unknown one or itself, or when the input
+/// of an ablation has a single modality.
+pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
+    let input = tree.get(INPUT).cloned();
+    axes(tree.get_mut(VARY), input.as_ref())?;
+    let Some(quick) = tree.get_mut("quick") else { return Ok(()) };
+    let input = quick.get(INPUT).cloned().or(input);
+    axes(quick.get_mut(VARY), input.as_ref())
+}
+
+/// Makes the roles of a spec of an earlier version its first axis, `role`.
+///
+/// # Errors
+/// When the spec also has this axis.
+pub(super) fn move_roles(tree: &mut Node) -> Result<(), Problem> {
+    let Value::Section(entries) = &mut tree.value else { return Ok(()) };
+    let Some(index) = entries.iter().position(|entry| entry.key == ROLES) else { return Ok(()) };
+    let mut roles = entries.remove(index);
+    ROLE.clone_into(&mut roles.key);
+    match entries.iter_mut().find(|entry| entry.key == VARY) {
+        Some(vary) if vary.node.get(ROLE).is_some() => {
+            let message = format!("'{ROLES}' is the same as '{VARY}.{ROLE}'; leave one of them out");
+            return Err(Problem::new(&roles.key_place, message));
+        }
+        Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) => axes.insert(0, roles),
+        Some(_) => {}
+        None => {
+            let key_place = roles.key_place.clone();
+            let node = Node { place: key_place.clone(), value: Value::Section(vec![roles]) };
+            entries.push(Entry { key: VARY.into(), key_place, node });
+        }
+    }
+    Ok(())
+}
+
+/// Completes the axes under one `vary`, if there is one. `input` is that of the spec.
+pub(super) fn axes(vary: Option<&mut Node>, input: Option<&Node>) -> Result<(), Problem> {
+    let Some(Node { value: Value::Section(axes), .. }) = vary else { return Ok(()) };
+    for axis in axes {
+        match &axis.node.value {
+            Value::Section(_) if axis.key == INPUT => list_inputs(&mut axis.node, input)?,
+            Value::Section(labels) => {
+                let settings = |label| -> Result<Entry, Problem> {
+                    let node = settings_of(label, labels, &axis.key, &mut Vec::new())?;
+                    Ok(Entry { node, ..Entry::clone(label) })
+                };
+                axis.node.value = Value::Section(labels.iter().map(settings).collect::<Result<_, _>>()?);
+            }
+            _ if schema::varies(&axis.key) => {}
+            _ => return Err(Problem::new(&axis.key_place, no_axis(axis))),
+        }
+    }
+    Ok(())
+}
+
+/// The message about an axis that is no setting and has no labels.
+fn no_axis(axis: &Entry) -> String {
+    (HINTS.unknown_key)(axis, VARY).unwrap_or_else(|| {
+        let names = schema::setting_names();
+        let names: Vec<&str> = names.iter().map(String::as_str).filter(|name| schema::varies(name)).collect();
+        let message = unknown("key", &axis.key, VARY, &names, str::to_owned);
+        format!("{message}, or the name of an axis with labels")
+    })
+}
+
+/// Returns the settings of a label with those of the label that it extends. `chain` has the labels that extend it.
+fn settings_of<'a>(
+    label: &'a Entry,
+    labels: &'a [Entry],
+    axis: &str,
+    chain: &mut Vec<&'a str>,
+) -> Result<Node, Problem> {
+    let Some(extends) = label.node.get(EXTENDS) else { return Ok(label.node.clone()) };
+    chain.push(&label.key);
+    let path = format!("{VARY}.{axis}.{}.{EXTENDS}", label.key);
+    let refused = |message: String| Err(Problem::new(&extends.place, message));
+    let Value::Text(name) = &extends.value else {
+        return refused(format!("'{path}': expected the name of a label, found {}", extends.value));
+    };
+    let Some(base) = labels.iter().find(|other| other.key == *name) else {
+        let names: Vec<&str> = labels.iter().map(|label| label.key.as_str()).collect();
+        return refused(unknown("label", name, &path, &names, str::to_owned));
+    };
+    if chain.contains(&base.key.as_str()) {
+        return refused(format!("'{path}': {} extends itself: {} > {name}", base.key, chain.join(" > ")));
+    }
+    let mut settings = settings_of(base, labels, axis, chain)?;
+    settings.place = label.node.place.clone();
+    let (Value::Section(settings_of_base), Value::Section(own)) = (&mut settings.value, &label.node.value)
+    else {
+        return Ok(settings);
+    };
+    let own = || own.iter().filter(|entry| entry.key != EXTENDS);
+    settings_of_base.retain(|entry| own().all(|other| other.key != entry.key));
+    settings_of_base.extend(own().cloned());
+    Ok(settings)
+}
+
+/// Replaces an ablation by the list of its inputs.
+fn list_inputs(varied: &mut Node, input: Option<&Node>) -> Result<(), Problem> {
+    let Value::Section(entries) = &varied.value else { return Ok(()) };
+    let [key, each] = WITHOUT;
+    if !matches!(&entries[..], [entry] if entry.key == key && entry.node.to_json() == each) {
+        let message = format!(
+            "'{VARY}.{INPUT}': expected a list of inputs, or {{{key}: {each}}} for the input and the input without \
+             each of its modalities"
+        );
+        return Err(Problem::new(&varied.place, message));
+    }
+    // An input that is no list is refused later.
+    let Some(Node { value: Value::List(modalities), .. }) = input else { return Ok(()) };
+    if modalities.len() < 2 {
+        let message = format!(
+            "'{VARY}.{INPUT}': the input has a single modality, so none can be left out; use more, or leave \
+             '{VARY}.{INPUT}' out"
+        );
+        return Err(Problem::new(&varied.place, message));
+    }
+    let list = |modalities| Node { place: varied.place.clone(), value: Value::List(modalities) };
+    let without = |left_out: usize| {
+        let mut others = modalities.clone();
+        others.remove(left_out);
+        list(others)
+    };
+    let inputs =
+        std::iter::once(list(modalities.clone())).chain((0..modalities.len()).map(without)).collect();
+    varied.value = Value::List(inputs);
+    Ok(())
+}
