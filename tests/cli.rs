@@ -122,7 +122,7 @@ fn a_dry_run_says_what_would_be_done_and_why_and_does_nothing() {
     let done = succeed(&RESULTS, &["run", SMOKE, "--dry-run"]);
     let skip = predicate::str::is_match(r"(?m)^skip +empty-z4-seed0-[0-9a-f]{8} +it is done$").unwrap();
     assert!(skip.eval(&done), "{done}");
-    let own = predicate::str::is_match(r"(?m)^  training.epochs = 2 +\S+smoke.yaml:20$").unwrap();
+    let own = predicate::str::is_match(r"(?m)^  training.epochs = 2 +\S+smoke.yaml:21$").unwrap();
     assert!(own.eval(&done) && !done.contains("training.dropout"), "{done}");
     let all = succeed(&RESULTS, &["run", SMOKE, "--dry-run=all", "training.epochs=2"]);
     let lines = predicate::str::is_match(

@@ -1207,6 +1207,13 @@ fn a_spec_builds_on_other_specs() {
     base.vary.clear();
     let base = Experiment { name: "own".into(), latent: vec![3], ..base };
     assert_eq!(own.runs(), base.runs());
+    // An axis replaces that of the base. Nothing in its place leaves it out.
+    write(
+        "axes.yaml",
+        &format!("{BASE}vary: {{senses: {{a: {{}}, b: {{action: target}}}}, training.epochs: [3, 4]}}\n"),
+    );
+    write("fewer.yaml", "extends: axes.yaml\nname: a\nvary: {senses: {c: {}}, training.epochs: null}\n");
+    assert!(load("fewer.yaml").unwrap().runs().iter().all(|run| run.variant == "senses=c"));
     // A built-in spec is found by its name. Faults are those of the file with the value.
     write("first.yaml", "extends: smoke.yaml\nname: mine\n");
     assert_eq!(load("first.yaml").unwrap().network.hidden, [16]);
@@ -1825,7 +1832,7 @@ fn the_origin_of_each_value_is_known() {
     assert_eq!(source(0, "input"), format!("[\"proprioception\",\"vision\"] {}", base(10)));
     assert_eq!(source(1, "input"), "[\"arm\"] senses=two, own.yaml:8");
     assert_eq!(source(1, "training.epochs"), "3 override");
-    assert_eq!(source(1, "simulation.seed"), "0 simulation.seed, own.yaml:5");
+    assert_eq!(source(1, "simulation.seed"), "[0,1] simulation.seed, own.yaml:5");
     assert_eq!(source(1, "training.dropout"), "0.0 default");
 }
 

@@ -1,5 +1,6 @@
 //! Where the values of an experiment's settings come from.
 
+use super::cells::DATASET_SEED;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
 use harness_yaml::{Node, Place, Value, join};
 use serde_json::Value as Json;
@@ -39,7 +40,7 @@ pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Exp
     let mut explained: Vec<Explained> = Vec::new();
     for combination in experiment.combinations() {
         let variant = combination.name();
-        // Variants on several datasets are one.
+        // Runs on several datasets belong to the same variant.
         if explained.iter().any(|other| other.variant == variant) {
             continue;
         }
@@ -52,7 +53,11 @@ pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Exp
                 (_, place) => place,
             }
         };
-        let sourced = |(key, value): (String, String)| Sourced { source: source(&key), key, value };
+        let seeds = experiment.vary.get(DATASET_SEED).map(Json::to_string);
+        let sourced = |(key, value): (String, String)| {
+            let value = seeds.clone().filter(|_| key == DATASET_SEED).unwrap_or(value);
+            Sourced { source: source(&key), key, value }
+        };
         explained.push(Explained { variant, settings: settings(&alone).into_iter().map(sourced).collect() });
     }
     Ok(explained)

@@ -2,7 +2,7 @@
 
 use super::built_in::{SPECS, YamlFile, beside};
 use super::origin::Origin;
-use super::vary::EXTENDS;
+use super::vary::{EXTENDS, VARY};
 use harness_yaml::{Node, Place, Problem, Value, parse};
 use std::path::Path;
 use std::sync::Arc;
@@ -68,8 +68,8 @@ fn relocate(scenarios: &mut Node, folder: &Path) {
     }
 }
 
-/// Puts `own` over `base`: sections are merged key by key, and everything else replaces what the base has. Nothing in
-/// the place of a section or a list leaves it out.
+/// Puts `own` over `base`: sections are merged key by key. Everything else, and an axis of `vary`, replaces what the base
+/// has. Nothing in the place of a section or a list leaves it out.
 fn merge(base: &mut Node, own: Node) {
     match (&mut base.value, own.value) {
         (Value::Section(entries), Value::Section(own_entries)) => {
@@ -83,11 +83,25 @@ fn merge(base: &mut Node, own: Node) {
                     entries.remove(index);
                     continue;
                 }
+                match entry.key == VARY {
+                    true => replace_axes(&mut entries[index].node, entry.node),
+                    false => merge(&mut entries[index].node, entry.node),
+                }
                 entries[index].key_place = entry.key_place;
-                merge(&mut entries[index].node, entry.node);
             }
         }
         (value, own_value) => *value = own_value,
     }
     base.place = own.place;
+}
+
+/// Replaces the axes of a base by those of the same name in `own`, and adds the others.
+fn replace_axes(base: &mut Node, own: Node) {
+    if let (Value::Section(axes), Value::Section(own_axes)) = (&mut base.value, &own.value) {
+        axes.retain(|axis| own_axes.iter().all(|own| own.key != axis.key));
+    }
+    merge(base, own);
+    if let Value::Section(axes) = &mut base.value {
+        axes.retain(|axis| !matches!(axis.node.value, Value::Null));
+    }
 }

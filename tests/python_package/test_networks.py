@@ -85,18 +85,43 @@ def combined() -> dict[str, Overrides]:
     return {f"combined {index}": dict(zip(AXES, values, strict=True)) for index, values in enumerate(chosen)}
 
 
+def spec_of(path: Path) -> dict[str, Any]:
+    """A spec with what it takes from the spec that it extends."""
+    own = yaml.safe_load(path.read_text())
+    base = own.pop("extends", None)
+    return merged(spec_of(path.parent / base), own) if base else own
+
+
+def merged(base: Any, own: Any, key: str = "") -> Any:
+    """Sections are merged key by key, and axes replaced. None in the place of a section or a list leaves it out."""
+    if not (isinstance(base, dict) and isinstance(own, dict)):
+        return own
+    is_axis = key == "vary"
+    both = {name: own[name] if is_axis else merged(base[name], own[name], name) for name in base if name in own}
+    is_left_out = [name for name in both if both[name] is None and isinstance(base[name], dict | list)]
+    return {name: value for name, value in {**base, **own, **both}.items() if name not in is_left_out}
+
+
+def settings_of_label(axis: dict[str, Overrides], label: str) -> Overrides:
+    """The settings of a label and of the label that it extends."""
+    own = dict(axis[label])
+    base = own.pop("extends", None)
+    return {**(settings_of_label(axis, base) if base else {}), **own}
+
+
 def networks_of(spec: Path) -> Iterator[Overrides]:
     """The settings of each network without memory that an experiment trains."""
-    experiment = yaml.safe_load(spec.read_text())
+    experiment = spec_of(spec)
     base = {key: experiment[key] for key in SETTINGS if key in experiment}
     if not {"empty", "cluttered"}.issuperset(experiment["scenarios"]):
         base["scenarios"] = experiment["scenarios"]
-    roles = list((experiment.get("roles") or {"": {}}).values())
+    axes = experiment.get("vary", {})
+    labels = [axis for axis in axes.values() if isinstance(axis, dict) and axis != {"without": "each"}]
+    labeled = [[settings_of_label(axis, label) for label in axis] for axis in labels]
     readings = [{}, *(reading["settings"] for reading in experiment.get("readings", []))]
-    vary = experiment.get("vary", {})
-    values = [[(key, value) for value in values] for key, values in vary.items()]
-    for role, reading, chosen in itertools.product(roles, readings, itertools.product(*values)):
-        changes = {**role, **reading, **dict(chosen)}
+    values = [[{key: value} for value in values] for key, values in axes.items() if isinstance(values, list)]
+    for chosen in itertools.product(*labeled, readings, *values):
+        changes = {key: value for settings in chosen for key, value in settings.items()}
         own = {key: value for key, value in changes.items() if key.split(".")[0] in SETTINGS}
         # Networks with memory have tests of their own, because `load_model` has no state.
         if own.get("network.memory", base["network"].get("memory", "none")) == "none":
