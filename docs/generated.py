@@ -113,12 +113,13 @@ class Keys:
                 continue
             done.add(title)
             entries = []
+            required = [*schema.get("required", []), *schema.get("anyOf", [{}])[-1].get("required", [])]
             for key, value in schema["properties"].items():
                 inner, is_repeated = self.inner(value)
                 if inner:
                     about = {"description": inner.get("description", value.get("description", ""))}
                     pending.append((f"Each entry of `{key}`" if is_repeated else f"`{key}`", inner | about))
-                is_required = key in schema.get("required", [])
+                is_required = key in required
                 entries.append(self.entry(key, value, is_required=is_required, has_keys=inner is not None))
             parts.append(f"## {title}\n\n{sentence(schema['description'])}\n\n" + "\n".join(entries))
         return "\n".join(parts)
@@ -137,7 +138,7 @@ class Keys:
         if isinstance(repeated, dict) and (inner := self.inner(repeated)[0]):
             return inner, True
         keys = found.get("properties", {})
-        # A map lists the same value for each modality. `vary`, `roles` and `quick` repeat all settings by dotted key.
+        # A map lists the same value for each modality. `vary` and `quick` repeat all settings by dotted key.
         has_keys = any(value != repeated for value in keys.values()) and not any("." in key for key in keys)
         return (found if has_keys else None), False
 

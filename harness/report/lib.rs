@@ -332,10 +332,10 @@ pub fn page(
     let (all_claims, claims): (Vec<&Claim>, _) = (file.claims.iter().collect(), asked.claims(&file.claims));
     let quick = asked.is_quick();
     let analysis = asked.analysis(registry, &claims, readings)?;
-    let roles = subjects::roles(&analysis, asked);
-    let (subjects, too_many) = subjects::subjects(&analysis, asked, &roles);
+    let studies = subjects::studies(&analysis, asked);
+    let (subjects, too_many) = subjects::subjects(&analysis, asked, &studies);
     let scenarios = subjects::scenarios(&analysis, asked);
-    let source = Source::new(&analysis, roles);
+    let source = Source::new(&analysis, studies);
     let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
     let is_about_all = asked.experiments.is_empty() && asked.settings.is_empty();
     let families = match is_about_all {

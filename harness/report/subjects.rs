@@ -26,9 +26,9 @@ pub struct Subject {
 
 /// The experiments that stand for the paper's two in figures. On a page of some experiments, a study whose own
 /// experiment is not among them is replaced by the first one whose networks have exactly the study's inputs.
-pub fn roles(analysis: &Analysis, asked: &Asked) -> Experiments {
+pub fn studies(analysis: &Analysis, asked: &Asked) -> Experiments {
     let paper = Experiments::of_the_paper(asked.is_quick());
-    let role = |study: Study| {
+    let name = |study: Study| {
         let own = paper.of(study);
         if asked.experiments.iter().any(|name| name == own) {
             return own.to_owned();
@@ -41,16 +41,16 @@ pub fn roles(analysis: &Analysis, asked: &Asked) -> Experiments {
         let like = chosen.find(|name| analysis.runs(name).iter().all(is_like));
         like.map_or(own, String::as_str).to_owned()
     };
-    let [single_to_multi, multi_to_multi] = Study::BOTH.map(role);
+    let [single_to_multi, multi_to_multi] = Study::BOTH.map(name);
     Experiments { single_to_multi, multi_to_multi, ..paper }
 }
 
 /// What is shown: the asked experiments with all their vectors, each variant by itself, or the paper's two with joint
 /// angles and contact forces. The second value has a remark for each experiment with too many variants.
-pub fn subjects(analysis: &Analysis, asked: &Asked, roles: &Experiments) -> (Vec<Subject>, Vec<String>) {
+pub fn subjects(analysis: &Analysis, asked: &Asked, studies: &Experiments) -> (Vec<Subject>, Vec<String>) {
     if asked.experiments.is_empty() {
         // The paper's parts compare finger with finger.
-        let own = Study::BOTH.map(|study| (study.name(), roles.of(study))).into_iter();
+        let own = Study::BOTH.map(|study| (study.name(), studies.of(study))).into_iter();
         let own = own.filter(|(_, experiment)| has_finger(analysis, experiment));
         let subject = |(name, experiment): (&str, &str)| Subject {
             name: name.to_owned(),
