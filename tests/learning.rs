@@ -460,10 +460,7 @@ fn network(hidden: usize, channels: usize) -> Network {
         preset: Preset::MultiToMulti,
         hidden: vec![hidden],
         channels: Some(vec![channels]),
-        average: 1,
-        fusion: Fusion::Early,
-        memory: Memory::None,
-        memory_samples: 5,
+        ..Network::default()
     }
 }
 
@@ -509,10 +506,9 @@ impl Twin {
                     preset: Preset::MultiToMulti,
                     hidden: sizes("hidden"),
                     channels: Some(sizes("channels")),
-                    average: 1,
                     fusion,
                     memory,
-                    memory_samples: 5,
+                    ..Network::default()
                 },
                 arithmetic,
             },
@@ -716,8 +712,6 @@ impl Bench {
             hidden: vec![8, 7],
             channels: Some(vec![2, 3, 4]),
             fusion: Fusion::Late,
-            memory: Memory::None,
-            memory_samples: 5,
             ..bench.network
         };
         Self { network: deep, ..bench }

@@ -82,10 +82,7 @@ fn what_is_left_out_gets_its_default() {
             preset: Preset::SingleToMulti,
             hidden: vec![256],
             channels: Some(Vec::new()),
-            average: 1,
-            fusion: Fusion::Early,
-            memory: Memory::None,
-            memory_samples: 5,
+            ..Network::default()
         },
         simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
@@ -1604,8 +1601,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         ),
         average: if has_frame { *[1, 2, 4].choose(random).unwrap() } else { 1 },
         fusion: *Fusion::ALL.choose(random).unwrap(),
-        memory: Memory::None,
-        memory_samples: 5,
+        ..Network::default()
     };
     let mut range = || {
         let (a, b): (f64, f64) = (random.random_range(-3.0..3.0), random.random_range(-3.0..3.0));

@@ -1,6 +1,6 @@
 //! The keys by which means are told apart.
 
-use harness_spec::{intern, is_axis, varied_setting};
+use harness_spec::{intern, varied_setting};
 use std::str::FromStr;
 
 /// A key by which means are told apart.
@@ -33,9 +33,7 @@ impl FromStr for Key {
     /// `variant`, if no other setting has the same name.
     fn from_str(text: &str) -> Result<Self, String> {
         let named = Self::ALL.into_iter().find(|key| key.name() == text);
-        let axis = || is_axis(text).then(|| text.to_owned());
-        let setting = || varied_setting(text).or_else(axis).map(|key| Self::Setting(intern(&key)));
-        named.or_else(setting).ok_or_else(|| {
+        named.or_else(|| Some(Self::Setting(intern(&varied_setting(text)?)))).ok_or_else(|| {
             let allowed = Self::ALL.map(Self::name).join(", ");
             format!(
                 "there is no key '{text}'; allowed: {allowed}, or a setting, such as input or network.hidden"

@@ -94,10 +94,9 @@ fn main() -> candle_core::Result<()> {
             preset: Preset::MultiToMulti,
             hidden: arguments.hidden.clone(),
             channels: Some(arguments.channels.clone()),
-            average: 1,
             fusion: arguments.fusion,
             memory: arguments.memory,
-            memory_samples: 5,
+            ..Network::default()
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
     };

@@ -190,7 +190,10 @@ fn run_details() -> Vec<Column> {
         integer("dataset_seed", "seed of the dataset; null if it was imported"),
         text("world_version", "version of the simulated world; null if it was imported, or is not known"),
         text("reading", "the reading of the paper; null if the experiment has none"),
-        text("role", "the label of the axis `role`, by which claims compare readings; null if there is no such axis"),
+        text(
+            "role",
+            "the label of the axis `role`, by which claims compare readings; null if there is no such axis",
+        ),
         text(
             "split",
             "what is divided into training, validation and test: episode, time, or sample. With sample, test samples \
