@@ -1835,7 +1835,7 @@ fn the_origin_of_each_value_is_known() {
 #[test]
 fn the_schema_for_editors_is_up_to_date() {
     let path = experiments().join("schema.json");
-    let schema = serde_json::to_string_pretty(&spec::schema()).unwrap() + "\n";
+    let schema = spec::schema_text(&spec::schema());
     if std::env::var_os("UPDATE").is_some() {
         fs::write(&path, &schema).unwrap();
     }

@@ -340,7 +340,7 @@ impl Schema {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         if !self.tables {
             let schema = if self.mapping { mapping_schema() } else { harness::spec::schema() };
-            println!("{}", serde_json::to_string_pretty(&schema)?);
+            print!("{}", harness::spec::schema_text(&schema));
             return Ok(ExitCode::from(DONE));
         }
         let (of_episodes, whose) = self.episodes(registry)?;

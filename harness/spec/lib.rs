@@ -40,7 +40,7 @@ pub use harness_layout::{
 pub use mapping::{mapping_schema, read_mapping};
 pub use origin::{Origin, Scenario};
 pub use run::{Model, RunSpec, Trained, label_in, model_parts, variant_parts};
-pub use schema::{is_axis, schema, setting_names, varied_setting};
+pub use schema::{is_axis, schema, schema_text, setting_names, varied_setting};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};
 pub use text::read_text;

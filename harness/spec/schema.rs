@@ -43,6 +43,27 @@ pub fn schema() -> Json {
     schema
 }
 
+/// Returns the text of a schema, in which each reference takes one line.
+pub fn schema_text(schema: &Json) -> String {
+    let pretty = serde_json::to_string_pretty(schema).expect("a schema is plain data");
+    let lines: Vec<&str> = pretty.lines().collect();
+    let (mut text, mut next) = (String::new(), 0);
+    while let Some(line) = lines.get(next) {
+        text += line;
+        next += 1;
+        if let [reference, end, ..] = &lines[next..]
+            && line.ends_with('{')
+            && reference.trim_start().starts_with("\"$ref\"")
+            && end.trim_start().starts_with('}')
+        {
+            text += &format!(" {} {}", reference.trim_start(), end.trim_start());
+            next += 2;
+        }
+        text.push('\n');
+    }
+    text
+}
+
 /// Adds the keys that a spec no longer has when it is checked. What it extends may have the keys that it needs.
 fn add_extends(schema: &mut Json) {
     let text = |description: &str| json!({ "description": description, "type": "string" });
