@@ -18,7 +18,7 @@ use harness::samples::FramePlace;
 use harness::shard::Shard;
 use harness::simulation::Scene;
 use harness::spec::{self, Experiment, Explained, Sourced};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -185,7 +185,9 @@ impl Run {
         explained.retain(|one| variants.contains(one.variant.as_str()));
         let Some(first) = explained.first() else { return Ok(()) };
         let is_shown = |one: &Sourced| detail == Detail::All || one.source.is_some();
-        let is_shared = |one: &Sourced| explained.iter().all(|variant| variant.settings.contains(one));
+        let mut counts: HashMap<&Sourced, usize> = HashMap::new();
+        explained.iter().flat_map(|one| &one.settings).for_each(|one| *counts.entry(one).or_default() += 1);
+        let is_shared = |one: &Sourced| counts[one] == explained.len();
         let print = |title: &str, settings: Vec<&Sourced>| {
             println!("\n{title}:");
             print_beside(settings.into_iter().map(|one| {

@@ -4,7 +4,7 @@ use super::cells::DATASET_SEED;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
 use harness_yaml::{Node, Place, Value, join};
 use serde_json::Value as Json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// The settings of one variant of an experiment.
@@ -17,7 +17,7 @@ pub struct Explained {
 }
 
 /// A setting and where its value comes from.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Sourced {
     /// The dotted key.
     pub key: String,
@@ -37,11 +37,11 @@ pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Exp
     let of_file = |problem| SpecError::of(problem, &file.label);
     let (tree, experiment) = load_tree(&mut worlds, &file, overrides, quick).map_err(of_file)?;
     let trees = Variants::of(&tree);
-    let mut explained: Vec<Explained> = Vec::new();
+    let (mut explained, mut done) = (Vec::new(), BTreeSet::new());
     for combination in experiment.combinations() {
         let variant = combination.name();
         // Runs on several datasets belong to the same variant.
-        if explained.iter().any(|other| other.variant == variant) {
+        if !done.insert(variant.clone()) {
             continue;
         }
         let tree = trees.tree(&combination);
