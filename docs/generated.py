@@ -175,6 +175,8 @@ class Keys:
         if "anyOf" in found:
             return " or ".join(self.type_of(choice) for choice in found["anyOf"])
         kinds = found["type"] if isinstance(found["type"], list) else [found["type"]]
+        # Null is for specs that extend another one. They may leave out any section or list.
+        kinds = ["object"] if "object" in kinds else kinds
         return " or ".join(self.kind_of(kind, found) for kind in kinds)
 
     def kind_of(self, kind: str, schema: Schema) -> str:

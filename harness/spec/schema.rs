@@ -7,8 +7,8 @@ use super::types::Experiment;
 use super::vary::EXTENDS;
 use super::world::World;
 use harness_yaml::{
-    Node, Problem, allow_single_values, check_against, is_name, join, key_pattern, list_single, properties,
-    property, resolve, takes_one_item, types,
+    Node, Problem, allow_single_values, check_against, choices, is_name, join, key_pattern, list_single,
+    properties, property, resolve, takes_one_item, types,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
@@ -37,6 +37,11 @@ pub fn schema() -> Json {
     }
     for kinds in KINDS {
         schema["$defs"][definition_of(kinds)] = distributions(&json!({}), kinds, json!({}));
+    }
+    let modality = &mut schema["$defs"]["Modality"];
+    let named = json!({ "enum": choices(modality) });
+    if let Some(other) = modality["oneOf"].as_array_mut().and_then(|choices| choices.last_mut()) {
+        other["not"] = named; // so that a name fits one choice only
     }
     allow_single_values(&mut schema);
     add_extends(&mut schema);
@@ -77,6 +82,32 @@ fn add_extends(schema: &mut Json) {
     schema["required"] = json!(["name"]);
     schema["anyOf"] = json!([{ "required": [EXTENDS] }, { "required": required }]);
     schema["$defs"]["Network"].as_object_mut().map(|network| network.remove("required"));
+    accept_null(schema);
+}
+
+/// Accepts `null` for each list and section, which leaves out that of the other spec.
+fn accept_null(schema: &mut Json) {
+    fn accept_section(section: &mut Json) {
+        if section["type"] == "object" {
+            section["type"] = json!(["object", "null"]);
+        }
+    }
+    let accept_values = |section: &mut Json| {
+        for (_, value) in schemas_of_keys(section) {
+            accept_section(value);
+            if value["anyOf"][0]["type"] == "array" {
+                value["anyOf"]
+                    .as_array_mut()
+                    .into_iter()
+                    .for_each(|either| either.push(json!({ "type": "null" })));
+            }
+        }
+    };
+    accept_values(schema);
+    for section in schema["$defs"].as_object_mut().into_iter().flat_map(|sections| sections.values_mut()) {
+        accept_values(section);
+        accept_section(section);
+    }
 }
 
 /// The distributions of numbers, of integers, and of all other settings in a search.
@@ -309,11 +340,8 @@ pub fn is_axis(name: &str) -> bool {
         });
         names.chain(sections).collect()
     });
-    is_name(name)
-        && !OTHERS.contains(&name)
-        && !SETTINGS.contains(name)
-        && !name.contains("_range")
-        && !name.ends_with("_clearance_m")
+    let is_of_world = name.contains("_range") || name.ends_with("_clearance_m"); // as OF_OTHER_WORLDS
+    is_name(name) && !OTHERS.contains(&name) && !SETTINGS.contains(name) && !is_of_world
 }
 
 /// Returns the dotted key of the setting that may vary and has this name: its key, or its key without its section, if

@@ -62,10 +62,19 @@ def test_files_for_other_programs_follow_their_schemas(path: str, schema: str) -
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
-def accepts(schema: Path, file: Path) -> bool:
-    """Whether a validator that is not ours accepts a file."""
-    check = [sys.executable, "-m", "check_jsonschema", "--schemafile", schema, file]
+def accepts(schema: Path, *files: Path) -> bool:
+    """Whether a validator that is not ours accepts files."""
+    check = [sys.executable, "-m", "check_jsonschema", "--schemafile", schema, *files]
     return subprocess.run(check, capture_output=True).returncode == 0
+
+
+def test_the_built_in_experiments_follow_the_schema_for_editors(tmp_path: Path) -> None:
+    experiments = ROOT / "experiments"
+    specs = [path for path in experiments.glob("*.yaml") if path.stem != "claims"]
+    assert accepts(experiments / "schema.json", *specs)
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("extends: smoke.yaml\nname: wrong\nlatent: [0]\n")
+    assert not accepts(experiments / "schema.json", wrong)
 
 
 @pytest.mark.parametrize("page", ["exchange", "recordings"])
