@@ -1808,7 +1808,6 @@ fn the_papers_experiments_are_the_papers_also_when_quick() {
     }
 }
 
-/// Editors read this file. `harness schema > experiments/schema.json` updates it.
 #[test]
 fn the_origin_of_each_value_is_known() {
     let folder = tempfile::tempdir().unwrap();
@@ -1832,6 +1831,7 @@ fn the_origin_of_each_value_is_known() {
     assert_eq!(source(1, "training.dropout"), "0.0 default");
 }
 
+/// Editors read this file. `harness schema > experiments/schema.json` updates it.
 #[test]
 fn the_schema_for_editors_is_up_to_date() {
     let path = experiments().join("schema.json");
