@@ -379,6 +379,7 @@ pub fn expected(root: &Json, schema: &Json, hints: &Hints) -> String {
             let names: Vec<&str> = properties(schema).map(|(name, _)| name.as_str()).collect();
             format!("a section with exactly one of {}", names.join(", "))
         }
+        "object" if schema["minProperties"] == 1 => "a section with at least one key".into(),
         "object" => "a section of keys".into(),
         other => other.into(),
     };

@@ -165,6 +165,7 @@ impl fmt::Display for Value {
             Value::Text(text) => write!(f, "the text '{}'", shorten(text)),
             Value::List(items) if items.is_empty() => write!(f, "an empty list"),
             Value::List(items) => write!(f, "a list of {}", items.len()),
+            Value::Section(entries) if entries.is_empty() => write!(f, "an empty section"),
             Value::Section(_) => write!(f, "a section of keys"),
         }
     }

@@ -327,7 +327,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
             rate,
             "training.learning_rate: {}",
             "spec.yaml:13:29: 'search.space.training.learning_rate': expected a section with exactly one of uniform, \
-             log_uniform, choice, found a section of keys",
+             log_uniform, choice, found an empty section",
         ),
         (
             rate,
