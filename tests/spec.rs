@@ -1167,6 +1167,10 @@ fn labels_of_an_axis_make_runs_and_build_on_each_other() {
             "spec.yaml:7:39: unknown label 'amr' in 'vary.senses.b.extends'; did you mean 'arm'? Allowed: arm, b",
         ),
         (
+            "vary: {senses: {}}\n",
+            "spec.yaml:7:16: 'vary.senses': expected a section with at least one key, found an empty section",
+        ),
+        (
             "vary: {senses: {a: {extends: [a]}}}\n",
             "spec.yaml:7:30: 'vary.senses.a.extends': expected the name of a label, found a list of 1",
         ),

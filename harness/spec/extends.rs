@@ -2,7 +2,8 @@
 
 use super::built_in::{SPECS, YamlFile, beside};
 use super::origin::Origin;
-use super::vary::{EXTENDS, VARY};
+use super::schema::EXTENDS;
+use super::vary::VARY;
 use harness_yaml::{Node, Place, Problem, Value, parse};
 use std::path::Path;
 use std::sync::Arc;

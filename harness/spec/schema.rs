@@ -4,7 +4,6 @@ use super::hints::HINTS;
 use super::origin::{IMPORTED_NAME, Origin};
 use super::simulation::Setting;
 use super::types::Experiment;
-use super::vary::EXTENDS;
 use super::world::World;
 use harness_yaml::{
     Node, Problem, allow_single_values, check_against, choices, is_name, join, key_pattern, list_single,
@@ -15,6 +14,8 @@ use serde_json::{Value as Json, json};
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+/// Key of the label, or of the spec, on which another one builds.
+pub(super) const EXTENDS: &str = "extends";
 /// The key and the value of an ablation of each modality of the input.
 pub(super) const WITHOUT: [&str; 2] = ["without", "each"];
 
@@ -87,26 +88,25 @@ fn add_extends(schema: &mut Json) {
 
 /// Accepts `null` for each list and section, which leaves out that of the other spec.
 fn accept_null(schema: &mut Json) {
-    fn accept_section(section: &mut Json) {
+    fn in_section(section: &mut Json) {
+        for (_, value) in schemas_of_keys(section) {
+            of_section(value);
+            if let Some(either) = value.get_mut("anyOf").and_then(Json::as_array_mut)
+                && either[0]["type"] == "array"
+            {
+                either.push(json!({ "type": "null" }));
+            }
+        }
+    }
+    fn of_section(section: &mut Json) {
         if section["type"] == "object" {
             section["type"] = json!(["object", "null"]);
         }
     }
-    let accept_values = |section: &mut Json| {
-        for (_, value) in schemas_of_keys(section) {
-            accept_section(value);
-            if value["anyOf"][0]["type"] == "array" {
-                value["anyOf"]
-                    .as_array_mut()
-                    .into_iter()
-                    .for_each(|either| either.push(json!({ "type": "null" })));
-            }
-        }
-    };
-    accept_values(schema);
-    for section in schema["$defs"].as_object_mut().into_iter().flat_map(|sections| sections.values_mut()) {
-        accept_values(section);
-        accept_section(section);
+    in_section(schema);
+    for section in schema["$defs"].as_object_mut().into_iter().flat_map(|all| all.values_mut()) {
+        in_section(section);
+        of_section(section);
     }
 }
 

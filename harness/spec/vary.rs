@@ -1,13 +1,11 @@
 //! Writes every axis of `vary` in its full form: a list of values, or labels with all of their settings.
 
 use super::hints::HINTS;
-use super::schema::{self, WITHOUT};
+use super::schema::{self, EXTENDS, WITHOUT};
 use harness_yaml::{Entry, Node, Problem, Value, unknown};
 
 /// Key of the axes in which runs differ.
 pub(super) const VARY: &str = "vary";
-/// Key of the label, or of the spec, on which another one builds.
-pub(super) const EXTENDS: &str = "extends";
 /// Name of the axis whose labels were under `roles` in earlier versions, and which claims compare under `readings`.
 pub(super) const ROLE: &str = "role";
 /// Key of the labels of [`ROLE`] in specs of earlier versions.
