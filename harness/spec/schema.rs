@@ -75,7 +75,7 @@ fn add_extends(schema: &mut Json) {
     let text = |description: &str| json!({ "description": description, "type": "string" });
     schema["properties"][EXTENDS] = text(
         "The spec on which this one builds: the path of a file, or a built-in experiment. Sections are merged key by \
-         key, everything else replaces what the other spec has.",
+         key. Everything else replaces what the other spec has, and `null` leaves out a list or a section.",
     );
     schema["$defs"]["Settings"]["properties"][EXTENDS] =
         text("The label of this axis on which this one builds.");
