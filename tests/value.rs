@@ -37,12 +37,14 @@ fn an_oracle_and_a_camera_tell_a_force_of_an_unseen_height() {
         &format!("select variant as key, avg(value) as value from metrics where {of_force} group by variant"),
     );
     let [without, oracle, camera] =
-        ["without_sight", "oracle", "camera"].map(|role| r2[&format!("role={role}")]);
+        ["without_sight", "oracle", "camera"].map(|label| r2[&format!("sight={label}")]);
     assert!(oracle > 0.99 && camera > 0.9, "{r2:?}");
     // Zero is within the interval of the same network without sight.
     let each = numbers(
         &results,
-        &format!("select run as key, value from metrics where {of_force} and variant = 'role=without_sight'"),
+        &format!(
+            "select run as key, value from metrics where {of_force} and variant = 'sight=without_sight'"
+        ),
     );
     let squares: f64 = each.values().map(|value| (value - without).powi(2)).sum();
     // Student's t for two degrees of freedom, times the standard error.
