@@ -678,6 +678,12 @@ fn a_baseline_is_one_column_over_all_datasets() {
     let (header, _) = markdown(&printed);
     assert_eq!(header[2..], ["angles", "angles_and_camera", "persistence"], "{printed}");
     assert!(printed.contains("over 2 to 3 datasets"), "{printed}");
+    let refused = finish(&mut harness(&results, &["compare", "memory", "--where", "rol=angles"]));
+    assert!(
+        refused.stderr.contains("no run has a setting 'rol'; did you mean 'role'?"),
+        "{}",
+        refused.stderr
+    );
 }
 
 #[test]

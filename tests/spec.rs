@@ -735,6 +735,16 @@ fn bad_overrides_are_refused_by_name() {
         override_refusal("batch_size=512"),
         "override 'batch_size=512': unknown key 'batch_size'; did you mean 'training.batch_size=512'?"
     );
+    for key in ["vary.senses", "vary.senses.a.action", "vary.training.epochs"] {
+        assert_eq!(
+            override_refusal(&format!("{key}=1")),
+            format!(
+                "override '{key}=1': '{key}' can't be set alone; give a whole axis, as in 'vary={{training.epochs: \
+                 [5, 10]}}' or 'vary={{AXIS: {{LABEL: {{KEY: VALUE}}}}}}', or one value for all runs, as in \
+                 training.epochs=5"
+            )
+        );
+    }
     let message = override_refusal("nonsense=512");
     assert!(message.contains("unknown key 'nonsense'. Allowed: name, description, "), "{message}");
     assert_eq!(

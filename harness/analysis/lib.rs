@@ -765,9 +765,8 @@ fn check_settings(
             let there = there.into_iter().collect();
             return Err(AnalysisError::NothingFinished { wanted: wanted.clone(), there });
         }
-        let keys: BTreeSet<&str> = about().flat_map(Settings::keys).map(String::as_str).collect();
-        let has_key = |run: &Settings| settings::value(run, &setting.key) != settings::UNSET;
-        if !keys.contains(setting.key.as_str()) && !about().any(has_key) {
+        let keys: BTreeSet<&str> = about().flat_map(settings::keys).collect();
+        if !keys.contains(setting.key.as_str()) {
             let keys: Vec<&str> = keys.into_iter().collect();
             let nearest = nearest(&setting.key, &keys).map(str::to_owned);
             return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });

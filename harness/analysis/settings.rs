@@ -15,6 +15,8 @@ pub(super) const DATASET: &str = "dataset";
 const WORLD: &str = "world";
 /// The key of the method's revision, which is not a setting of the spec.
 const REVISION: &str = "revision";
+/// What runs can differ in besides the settings of their specs.
+pub(super) const OF_RUNS: [&str; 3] = [DATASET, WORLD, REVISION];
 /// The key of the scenario.
 const SCENARIO: &str = "scenario";
 /// The key of the size of the latent state, which models of other programs lack.
@@ -141,7 +143,7 @@ impl fmt::Display for Difference {
 pub(super) fn differences(runs: &[&Settings]) -> Vec<Difference> {
     let varied = varied(runs);
     let mut values: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    let is_of_spec = |key: &&&str| !OF_CELLS.contains(key) && ![DATASET, WORLD, REVISION].contains(key);
+    let is_of_spec = |key: &&&str| !OF_CELLS.contains(key) && !OF_RUNS.contains(key);
     for key in varied.iter().filter(is_of_spec) {
         values.insert(key, concerned(runs, key).map(|run| value(run, key)).collect());
     }
@@ -224,13 +226,23 @@ pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
     run.get(key).map(String::as_str).or_else(label).unwrap_or(UNSET)
 }
 
+/// The names of what a variant has values or labels of: settings without their section, and axes.
+fn named(variant: &str) -> impl Iterator<Item = &str> {
+    variant.split(',').filter_map(|part| part.split_once('=')).map(|(name, _)| name)
+}
+
+/// The keys of a run's settings, and the names of the axes of its labels.
+pub(super) fn keys(run: &Settings) -> impl Iterator<Item = &str> {
+    let axes = run.get(VARIANT).into_iter().flat_map(|variant| named(variant)).filter(|name| is_axis(name));
+    run.keys().map(String::as_str).chain(axes)
+}
+
 /// Whether every run's variant names the setting, and all runs with the same variant have the same value.
 fn is_in_variant(runs: &[&Settings], key: &str) -> bool {
     // A variant names settings without their section: `training.kl_weight` is `kl_weight=0.001`.
     let name = key.split_once('.').map_or(key, |(_section, name)| name);
     let names = |variant: &str| {
-        let mut named = variant.split(',').filter_map(|part| part.split_once('=')).map(|(named, _)| named);
-        named.any(|named| {
+        named(variant).any(|named| {
             // A label may set any setting.
             is_axis(named)
                 || name == named

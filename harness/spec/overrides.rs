@@ -60,6 +60,13 @@ fn read(text: &str) -> Result<Entry, Problem> {
 }
 
 fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
+    if key.starts_with(schema::BELOW_VARY) {
+        return format!(
+            "'{}' can't be set alone; give a whole axis, as in 'vary={{training.epochs: [5, 10]}}' or \
+             'vary={{AXIS: {{LABEL: {{KEY: VALUE}}}}}}', or one value for all runs, as in training.epochs=5",
+            shorten(key)
+        );
+    }
     let prefix = format!("{key}.");
     let section: Vec<&str> = names.iter().filter(|name| name.starts_with(&prefix)).copied().collect();
     if section.is_empty() {

@@ -199,6 +199,9 @@ fn add_settings_of_worlds(schema: &mut Json) {
 /// The keys of a spec that `quick` and overrides can't replace as a whole.
 const NOT_OVERRIDDEN: [&str; 2] = ["quick", "readings"];
 
+/// How keys below `vary` begin, which is replaced as a whole.
+pub(super) const BELOW_VARY: &str = "vary.";
+
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
     const SECTIONS: [&str; 10] = [
@@ -325,7 +328,8 @@ pub(super) fn is_list(setting: &str) -> bool {
 /// Whether there is a setting of that dotted key: one of [`setting_names`], or one that a world or a modality of
 /// another name makes.
 pub(super) fn is_setting(key: &str) -> bool {
-    setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
+    !key.starts_with(BELOW_VARY)
+        && setting_schema(key).is_some_and(|schema| schema.get("properties").is_none())
 }
 
 /// Whether a name may be that of an axis with labels: no setting has it, and nothing else that tells runs apart.
