@@ -319,6 +319,15 @@ fn damaged_episodes_are_named_and_mended() {
         "1 of the 4 episodes that a finished run used are missing",
     );
     mended(|copy| cut(copy.dataset("empty").join("dataset.json")), "");
+    mended(|copy| flip(copy.dataset("empty").join("model.xml")), "its SHA-256 differs");
+    mended(
+        |copy| {
+            let model = copy.dataset("empty").join("model.xml");
+            remove(model.clone());
+            model
+        },
+        "No such file",
+    );
     mended(
         |copy| {
             let path = copy.dataset("empty").join("dataset.json");

@@ -17,9 +17,10 @@ pub(super) fn identify(scenario: Scenario, description: &serde_json::Value) -> S
     let mut identity = description.clone();
     // The number of episodes does not change their contents, so a longer dataset extends a shorter one.
     identity["simulation"]["episodes"].take();
-    // The layout follows from the rest of the description.
+    // The layout and the model's text follow from the rest of the description.
     if let Some(fields) = identity.as_object_mut() {
         fields.remove("layout");
+        fields.remove(MODEL_TEXT);
     }
     named_by_hash(scenario.name(), identity)
 }
@@ -34,6 +35,9 @@ fn named_by_hash(name: &str, mut identity: serde_json::Value) -> String {
 /// The file with the compiled model of a simulated dataset, as MJCF. Datasets of earlier versions lack it.
 pub const MODEL: &str = "model.xml";
 
+/// The key of a description with the SHA-256 of the file [`MODEL`]. Descriptions of earlier versions lack it.
+pub(super) const MODEL_TEXT: &str = "model_xml_sha256";
+
 /// The contents of `dataset.json`.
 pub(super) struct Description(pub serde_json::Value);
 
@@ -44,6 +48,17 @@ impl Description {
     pub fn read(folder: &Path) -> Result<Self, String> {
         let bytes = std::fs::read(folder.join(Self::FILE)).map_err(|error| error.to_string())?;
         serde_json::from_slice(&bytes).map(Self).map_err(|error| error.to_string())
+    }
+
+    /// Why the model's file in a dataset's folder is not the described one; `None` if it is, or if the description
+    /// does not say which it is.
+    pub fn fault_of_model(&self, folder: &Path) -> Option<String> {
+        let sha256 = self.0[MODEL_TEXT].as_str()?;
+        match std::fs::read(folder.join(MODEL)) {
+            Ok(bytes) if hex(&Sha256::digest(&bytes)) == sha256 => None,
+            Ok(_) => Some("it has changed since it was written: its SHA-256 differs".into()),
+            Err(error) => Some(error.to_string()),
+        }
     }
 
     /// Whether this version of the program reads and writes the dataset's format.

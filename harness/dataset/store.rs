@@ -1,18 +1,20 @@
 //! Simulated datasets on disk. Each episode is a Parquet file, in a folder whose name is determined by the content.
 
 use super::DatasetError;
-use super::description::{Description, FORMAT, MODEL, identify};
+use super::description::{Description, FORMAT, MODEL, MODEL_TEXT, identify};
 use super::episode_file::{episode_file, open_episode, push_all, read_episode};
 use super::version::WorldVersion;
 use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
+use harness_shared::seal::hex;
 use harness_spec::{Definition, Episode, Factor, Layout, Property, Scenario, Simulation, World};
 use harness_tables::schema::{image_columns, sample_columns};
 use harness_tables::{Stamp, TableError, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde_json::json;
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -187,21 +189,24 @@ impl Dataset {
         WorldVersion::of(&self.description)
     }
 
-    /// Writes the dataset's description to its folder and, if it is not there, the compiled model as MJCF, which
-    /// `mjcf` returns if it can be written. Only people and `harness diff` read the model.
+    /// Writes the dataset's description to its folder and, unless it is there undamaged, the compiled model as MJCF,
+    /// which `mjcf` returns if it can be written. Only people and `harness diff` read the model.
     ///
     /// # Errors
     /// When a file can't be written.
     pub fn describe(&self, mjcf: impl FnOnce() -> Option<String>) -> Result<(), DatasetError> {
-        let text = format!("{:#}\n", self.description);
-        write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?;
-        let path = self.folder.join(MODEL);
-        if !path.exists()
-            && let Some(mjcf) = mjcf()
-        {
-            write_bytes(&path, mjcf.as_bytes())?;
+        let mut description = self.description.clone();
+        let there = Description::read(&self.folder).ok();
+        let there = there.filter(|there| there.fault_of_model(&self.folder).is_none());
+        let sha256 = there.map(|there| there.0[MODEL_TEXT].clone()).filter(|sha256| sha256.is_string());
+        if let Some(sha256) = sha256 {
+            description[MODEL_TEXT] = sha256;
+        } else if let Some(mjcf) = mjcf() {
+            write_bytes(&self.folder.join(MODEL), mjcf.as_bytes())?;
+            description[MODEL_TEXT] = hex(&Sha256::digest(mjcf)).into();
         }
-        Ok(())
+        let text = format!("{description:#}\n");
+        Ok(write_bytes(&self.folder.join(Description::FILE), text.as_bytes())?)
     }
 
     /// Writes one episode to its file.

@@ -28,6 +28,8 @@ pub struct Inspection {
     pub missing: Vec<u32>,
     /// Damaged episodes, each with the problem.
     pub damaged: Vec<(PathBuf, String)>,
+    /// The file of the model with the problem, if it is damaged or missing. No run reads it.
+    pub damaged_model: Option<(PathBuf, String)>,
     /// Files that don't belong in the folder.
     pub unknown: Vec<PathBuf>,
 }
@@ -68,15 +70,16 @@ impl Lengths {
 pub fn inspect(folder: &Path, advance: &(dyn Fn() + Sync)) -> Inspection {
     let mut found = Inspection::default();
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let lengths = match Description::read(folder) {
+    let description = Description::read(folder);
+    let lengths = match &description {
         Ok(description) if !description.is_current() => {
             found.outdated = true;
             return found;
         }
         Ok(description) => {
-            Lengths::of(&description, &name).ok_or("it does not describe this dataset".to_owned())
+            Lengths::of(description, &name).ok_or("it does not describe this dataset".to_owned())
         }
-        Err(reason) => Err(reason),
+        Err(reason) => Err(reason.clone()),
     };
     found.undescribed = lengths.as_ref().err().cloned();
     let lengths = lengths.ok();
@@ -98,6 +101,8 @@ pub fn inspect(folder: &Path, advance: &(dyn Fn() + Sync)) -> Inspection {
             Checked::Unknown => found.unknown.push(path),
         }
     }
+    let fault_of_model = description.ok().and_then(|description| description.fault_of_model(folder));
+    found.damaged_model = fault_of_model.map(|problem| (folder.join(MODEL), problem));
     found.promised = lengths.map_or(0, |lengths| lengths.episodes());
     found.missing = (0..found.promised).filter(|index| !present.contains(index)).collect();
     found

@@ -114,6 +114,10 @@ impl Verification<'_> {
         let user = users.max_by_key(|record| (record.episodes(), record.spec.trained().is_some()));
         let again = user.map_or(Again::Unknown, |record| self.commands.collect(record));
         let collect = again.command();
+        if let Some((path, problem)) = inspection.damaged_model {
+            let lost = "; no run reads it, and collecting the dataset again writes it";
+            report.broken(&path, again.explain(problem + lost), collect.clone());
+        }
         if let Some(problem) = &inspection.undescribed
             && user.is_none()
         {

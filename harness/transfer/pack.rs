@@ -18,7 +18,7 @@ use harness_shared::files::{
     FolderLock, LockError, UNFINISHED, WriteError, abandoned, free_bytes, remove_abandoned, sorted,
     write_whole,
 };
-use harness_shared::numbers::bytes as size;
+use harness_shared::numbers::{bytes as size, counted};
 use harness_shared::progress::Progress;
 use harness_shared::seal;
 use serde::{Deserialize, Serialize};
@@ -339,7 +339,7 @@ fn dataset_files(
     if let Some(reason) = found.undescribed {
         return Err(RegistryError::File { path, reason });
     }
-    if let Some((path, reason)) = found.damaged.into_iter().next() {
+    if let Some((path, reason)) = found.damaged.into_iter().chain(found.damaged_model).next() {
         return Err(RegistryError::File { path, reason });
     }
     let episodes = found.promised.max(used);
@@ -741,7 +741,8 @@ impl<'a> Pack<'a> {
 fn dataset_fault(staged: &Path) -> Option<String> {
     let found = inspect(staged, &|| ());
     let unknown = found.unknown.first().map(|path| (path, "not a file of a dataset".to_owned()));
-    let damaged = found.damaged.first().map(|(path, problem)| (path, problem.clone()));
+    let mut damaged = found.damaged.iter().chain(&found.damaged_model);
+    let damaged = damaged.next().map(|(path, problem)| (path, problem.clone()));
     match unknown.or(damaged) {
         _ if found.outdated => Some("it is in the format of another version".into()),
         _ if found.undescribed.is_some() => {
@@ -749,7 +750,7 @@ fn dataset_fault(staged: &Path) -> Option<String> {
         }
         Some((path, problem)) => Some(format!("{}: {problem}", path.file_name()?.to_string_lossy())),
         None if !found.missing.is_empty() => {
-            Some(format!("{} of its episodes are missing", found.missing.len()))
+            Some(format!("it has {}", counted(found.missing.len(), "missing episode")))
         }
         None => None,
     }
