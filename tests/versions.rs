@@ -3,7 +3,6 @@
 use crate::common::{Answer, ask, finish, fresh, harness, succeed};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::{fs, thread, time::Duration};
 
 /// A model with a wall and a mesh in a file of its own.
 const MODEL: &str = r#"<mujoco><asset><mesh name="tip" file="tip.obj"/></asset>
@@ -41,8 +40,6 @@ impl Two {
             succeed(&results, &[&["run", spec.to_str().unwrap()][..], more].concat());
         };
         run(&[]);
-        // Runs are compared by the second in which they began.
-        thread::sleep(Duration::from_secs(1));
         move_wall(world.path(), ".3", ".25");
         run(&["simulation.episodes=8", "seeds=[0]"]);
         let rows = ask(&results, "select world_version from runs order by started");
@@ -186,7 +183,6 @@ fn diff_says_what_differs_in_the_world() {
 
     // The content of a mesh is no text of the MJCF.
     fs::write(two.world.path().join("tip.obj"), MESH.replace("0 0 .03", "0 0 .04")).unwrap();
-    thread::sleep(Duration::from_secs(1));
     two.say(&["run", two.world.path().join("spec.yaml").to_str().unwrap(), "seeds=[5]"]);
     let latest = runs("select run from runs where seed = 5").remove(0);
     let said = two.say(&["diff", new, &latest]).stdout;

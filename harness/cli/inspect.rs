@@ -202,8 +202,9 @@ fn print_listed(mut runs: DataFrame, limit: u16) -> Result<()> {
 fn listed(runs: &[Listed], has_experiments: bool, is_long: bool) -> Grid {
     let has_tags = runs.iter().any(|run| run.tags.is_some());
     let row = |run: &Listed| {
-        let started = run.started.replace('T', " ").replace('Z', "");
-        let started = if is_long { &started } else { started.get(5..16).unwrap_or(&started) };
+        let started = run.started.replace('T', " ");
+        let shown = if is_long { 0..19 } else { 5..16 };
+        let started = started.get(shown).unwrap_or(&started);
         let time = run.seconds.map_or(String::new(), duration);
         let tags = has_tags.then(|| run.tags.clone().unwrap_or_default());
         let before = has_experiments.then(|| run.experiment.clone()).into_iter();

@@ -196,7 +196,8 @@ pub struct RunRecord {
     pub spec_hash: String,
     /// Name of the dataset's folder.
     pub dataset: String,
-    /// When the run was started, in UTC, such as `2026-01-31T12:00:00Z`.
+    /// When the run was started, in UTC, such as `2026-01-31T12:00:00.123456Z`. Records of earlier versions have whole
+    /// seconds.
     pub started: String,
     /// Wall times of a finished run; `None` before.
     pub timings: Option<Timings>,
@@ -289,7 +290,7 @@ impl RunRecord {
             published: false,
             spec_hash: spec.hash(),
             dataset: folder.dataset.clone(),
-            started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+            started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.6fZ").to_string(),
             timings: None,
             peak_memory_bytes: None,
             parameters: None,
