@@ -1,6 +1,6 @@
 //! Locks of folders: several processes that look at them, share them, and remove folders.
 
-use crate::common::{SMOKE, fresh};
+use crate::common::{SMOKE, fresh, succeed};
 use harness::files::{FileSystem, FolderLock, LOCK};
 use std::fs::File;
 use std::io;
@@ -122,9 +122,10 @@ fn without_locks(error: i32, results: &Path, arguments: &[&str]) -> Output {
 
 #[test]
 fn a_file_system_that_refuses_locks_is_named_before_anything_is_done() {
-    let results = fresh("lock-refused");
-    std::fs::create_dir_all(&results).unwrap();
-    let df = Command::new("df").args(["--output=fstype"]).arg(&results).output().unwrap().stdout;
+    let above = fresh("lock-refused");
+    std::fs::create_dir_all(&above).unwrap();
+    let results = above.join("results");
+    let df = Command::new("df").args(["--output=fstype"]).arg(&above).output().unwrap().stdout;
     let kind = String::from_utf8(df).unwrap().lines().last().unwrap().trim().to_owned();
     for error in [libc::ENOSYS, libc::ENOLCK, libc::EOPNOTSUPP, libc::EIO] {
         for arguments in [&["run", SMOKE][..], &["collect", SMOKE], &["doctor"]] {
@@ -139,7 +140,13 @@ fn a_file_system_that_refuses_locks_is_named_before_anything_is_done() {
             ] {
                 assert!(said.contains(part), "{arguments:?} does not say {part}: {said}");
             }
-            assert_eq!(std::fs::read_dir(&results).unwrap().count(), 0, "{arguments:?} wrote something");
+            assert_eq!(std::fs::read_dir(&above).unwrap().count(), 0, "{arguments:?} wrote something");
         }
     }
+    // A judgment is refused before its run has a folder.
+    let of = ["scenarios=[empty]", "input=[proprioception]", "output=[proprioception]", "window.horizon=5"];
+    succeed(&results, &[&["collect", SMOKE][..], &of].concat());
+    let output = without_locks(libc::ENOLCK, &results, &[&["judge", SMOKE, "simulator"][..], &of].concat());
+    assert!(String::from_utf8(output.stderr).unwrap().contains("refuses locks"));
+    assert!(!results.join("runs").exists());
 }

@@ -145,6 +145,7 @@ impl Judge {
             Some(SIMULATOR) => Predictions::Simulated,
             _ => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
         };
+        registry.check_writable()?;
         interrupt::install()?;
         let task = runner.open_task(task)?;
         let (seed, notes) = (self.seed, BTreeMap::from_iter(self.notes));

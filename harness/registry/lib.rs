@@ -49,7 +49,7 @@ pub use verify::{Finding, Report};
 pub use worlds::{DatasetsNow, Outdated, UNKNOWN};
 
 use checks::Checks;
-use harness_shared::files::{FolderLock, WriteError, check_locks, folders};
+use harness_shared::files::{FolderLock, LockError, WriteError, check_writable, folders};
 use harness_shared::seal::hex;
 use harness_spec::{RunSpec, Task};
 use serde_json::Value;
@@ -193,14 +193,14 @@ impl Registry {
     /// # Errors
     /// When the folder or a file in it can't be created.
     pub fn check_writable(&self) -> Result<(), RegistryError> {
-        let made = match self.root.is_file() {
-            true => Err(io::Error::new(ErrorKind::NotADirectory, IS_FILE)),
-            false => {
-                std::fs::create_dir_all(&self.root).and_then(|()| tempfile::tempfile_in(&self.root).map(drop))
-            }
-        };
-        made.map_err(|source| WriteError { path: self.root.clone(), source })?;
-        Ok(check_locks(&self.root)?)
+        let unwritable = |source| WriteError { path: self.root.clone(), source };
+        if self.root.is_file() {
+            return Err(unwritable(io::Error::new(ErrorKind::NotADirectory, IS_FILE)).into());
+        }
+        check_writable(&self.root).map_err(|error| match error {
+            LockError::Unopened { source, .. } => unwritable(source).into(),
+            refused => refused.into(),
+        })
     }
 
     /// Decides whether to run, resume or skip a run. Also returns the run's record, if it has a readable one.

@@ -307,17 +307,22 @@ fn is_locked(file: &File, attempt: Attempt) -> io::Result<bool> {
     Ok(false)
 }
 
-/// Checks that files in a folder can be locked, with a temporary file.
+/// Makes a folder if it is missing, and checks that files in it can be written and locked, with a temporary file. A
+/// folder in which they can't is not made.
 ///
 /// # Errors
 /// When no file can be made in the folder, or its file system refuses locks.
-pub fn check_locks(folder: &Path) -> Result<(), LockError> {
+pub fn check_writable(folder: &Path) -> Result<(), LockError> {
     let path = folder.to_owned();
-    let file = match tempfile::tempfile_in(folder) {
-        Ok(file) => file,
-        Err(source) => return Err(LockError::Unopened { path, source }),
+    let missing: Vec<_> = folder.ancestors().take_while(|above| !above.exists()).collect();
+    let checked = match std::fs::create_dir_all(folder).and_then(|()| tempfile::tempfile_in(folder)) {
+        Ok(file) => file.lock().map_err(|source| LockError::Refused { path, source }),
+        Err(source) => Err(LockError::Unopened { path, source }),
     };
-    file.lock().map_err(|source| LockError::Refused { path, source })
+    if checked.is_err() {
+        missing.into_iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
+    }
+    checked
 }
 
 /// A mounted file system.
