@@ -667,6 +667,13 @@ fn an_answer_that_cannot_be_printed_is_a_failure() {
 
 // --- arguments that are not Unicode ---
 
+const ROBOT: &str = r#"<mujoco><option timestep="0.005"/><worldbody><body name="cart"><joint name="slide" type="slide" range="-.5 .5" damping="2"/>
+    <geom type="box" size=".06 .05 .03" mass="1"/></body></worldbody>
+  <actuator><position name="push" joint="slide" kp="200" ctrlrange="-.4 .4"/></actuator></mujoco>"#;
+const OWN: &str = "name: own\nscenarios: robot.yaml\ninput: joints\noutput: joints\nlatent: 2\nseeds: 0\n\
+                   network: {preset: multi_to_multi, hidden: [8]}\ntasks: prediction\n\
+                   simulation: {episodes: 4, actuations_per_episode: 2}\ntraining: {epochs: 2, batch_size: 16}\n";
+
 #[test]
 fn arguments_that_are_no_unicode_are_paths_or_refused() {
     let folder = Folder::new();
@@ -683,6 +690,13 @@ fn arguments_that_are_no_unicode_are_paths_or_refused() {
     };
     let word = std::ffi::OsStr::new;
     let spec = path.join("smoke.yaml");
+    // Everything is in this folder, also a world file of its own.
+    for arguments in ["world new robot.xml --output robot.yaml", "run own.yaml", "verify", "compare own"] {
+        let files = [("robot.xml", ROBOT), ("own.yaml", OWN)];
+        files.iter().for_each(|(name, text)| std::fs::write(path.join(name), text).unwrap());
+        let (code, said, complaint) = answer(&arguments.split(' ').map(word).collect::<Vec<_>>());
+        assert_eq!(code, 0, "{arguments}: {said}{complaint}");
+    }
     let one =
         [word("scenarios=empty"), word("training.epochs=1"), word("simulation.actuations_per_episode=2")];
     let results = folder.path("results");

@@ -199,7 +199,7 @@ fn further_rows_change_no_other_answer() {
 }
 
 /// What `harness serve` answers to requests, each a method, a path and a body.
-fn served(results: &Path, requests: &[(&str, &str, &str)]) -> Vec<Value> {
+pub fn served(results: &Path, requests: &[(&str, &str, &str)]) -> Vec<Value> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_harness"));
     let command = command.arg("--results").arg(results).args(["serve", "--port", "0"]);
     let mut server = Serving(command.stdout(Stdio::piped()).spawn().unwrap());

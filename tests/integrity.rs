@@ -316,7 +316,7 @@ fn damaged_episodes_are_named_and_mended() {
             remove(copy.dataset("cluttered").join("episode_00002.parquet"));
             copy.dataset("cluttered")
         },
-        "1 of the 4 episodes that a finished run used are missing",
+        "missing episodes: 1 of the 4 that a finished run used",
     );
     mended(|copy| cut(copy.dataset("empty").join("dataset.json")), "");
     mended(|copy| flip(copy.dataset("empty").join("model.xml")), "its SHA-256 differs");
@@ -402,7 +402,7 @@ fn what_does_not_belong_is_noted_but_not_broken() {
     for path in &strays {
         assert!(said.stdout.contains(&format!("note    {}: ", path.display())), "{}", said.stdout);
     }
-    assert!(said.stdout.contains("1 episodes are not collected yet"), "{}", said.stdout);
+    assert!(said.stdout.contains("1 episode to be collected"), "{}", said.stdout);
     assert_eq!(said.stdout.lines().filter(|line| line.starts_with("note ")).count(), 5, "{}", said.stdout);
 }
 
@@ -610,7 +610,7 @@ fn gone_datasets_of_finished_runs_are_named_and_made_again() {
     let (counted, left_out) = number(&copy, EPISODES);
     assert_eq!((counted, left_out.len()), (120, 1), "{left_out:?}");
     assert!(left_out[0].contains(dataset.file_name().unwrap().to_str().unwrap()), "{left_out:?}");
-    mended(act, "1 finished runs used this dataset, which is not there");
+    mended(act, "1 finished run used this dataset, which is not there");
 }
 
 #[test]

@@ -283,6 +283,25 @@ fn what_is_suggested_where_nothing_is_found_works() {
 }
 
 #[test]
+fn what_is_suggested_for_a_folder_that_looks_like_an_option_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_harness");
+    let say = |arguments: &str| {
+        let line = format!("{program} --results=-x {arguments} 2>&1");
+        let output = Command::new("sh").args(["-c", &line]).current_dir(&folder).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let said = say("run smoke scenarios=empty tasks=prediction");
+    std::fs::write(folder.path().join("-x/runs/stray"), "?").unwrap();
+    let said = said + &say("verify") + &say("show emptz");
+    let commands = suggested(&said);
+    assert!(commands.len() >= 3, "{said}");
+    for command in commands {
+        assert_eq!(shell_in(folder.path(), &command), 0, "{command}");
+    }
+}
+
+#[test]
 fn the_tables_can_be_asked_for_as_is_suggested() {
     let there = Situation::new();
     let answer = finish(&mut harness(&there.results, &["query", "delete from runs"]));

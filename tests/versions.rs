@@ -1,7 +1,10 @@
 //! Two versions of a world: results of before and after a change of its model are never mixed.
 
 use crate::common::{Answer, ask, finish, fresh, harness, succeed};
+use crate::horizons::served;
+use crate::suggestions::shell_in;
 use std::collections::BTreeSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A model with a wall and a mesh in a file of its own.
@@ -19,6 +22,56 @@ const WORLD: &str = "model: rod.xml\nstep_rate_hz: 500\nsample_rate_hz: 10\n\
 const SPEC: &str = "name: rod\nscenarios: [rod.yaml]\ninput: swing\noutput: swing\nlatent: 2\nseeds: [0, 1]\n\
                     network: {preset: single_to_multi, hidden: [8]}\ntasks: [prediction]\n\
                     simulation: {episodes: 4, actuations_per_episode: 3}\ntraining: {epochs: 1, batch_size: 16}\n";
+
+#[test]
+fn a_dataset_of_an_older_version_cannot_be_collected_and_verify_says_so() {
+    let two = Two::new("versions_verify");
+    let rows = ask(&two.results, "select dataset from runs order by started limit 1");
+    fs::remove_dir_all(two.results.join("datasets").join(rows[0]["dataset"].as_str().unwrap())).unwrap();
+    let answer = finish(&mut harness(&two.results, &["verify"]));
+    let said = answer.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(answer.code, 1, "{said}");
+    assert!(said.contains("the world rod or MuJoCo has changed since"), "{said}");
+    assert!(!said.contains("repair:"), "{said}");
+    // The means of both versions are told apart by the key that the message names.
+    let plot = |more: &[&str]| {
+        let output = two.world.path().join("plot.svg").display().to_string();
+        let asked = ["plot", "--x", "latent", "--y", "r2", "--output", &output];
+        finish(&mut harness(&two.results, &[&asked[..], more].concat()))
+    };
+    assert_eq!(plot(&["--by", "world"]).code, 0, "{}", plot(&["--by", "world"]).stderr);
+}
+
+#[test]
+fn a_plan_makes_runs_of_the_same_world_with_the_same_settings() {
+    let two = Two::new("versions_plan");
+    let claims = two.world.path().join("claims.yaml");
+    let claim = "claims:\n- id: error\n  statement: The error is small.\n  measured: RMSE\n  scenarios: [rod]\n  \
+                 experiments: [rod]\n  condition: below 1\n  query: |\n    select seed, scenario, value from metrics where \
+                 metric = 'rmse' and model = 'network' and direction is null and index is null\n";
+    fs::write(&claims, claim).unwrap();
+    let plan = two.say(&["claims", "--file", claims.to_str().unwrap(), "--plan"]).stdout;
+    let commands: Vec<&str> = plan.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+    assert!(plan.contains(", 1 run, about ") && commands.len() == 1, "{plan}");
+    for command in commands {
+        assert_eq!(shell_in(two.world.path(), command), 0, "{command}");
+    }
+    let sql = "select distinct seed, world_version from runs where command like '%simulation.episodes=8%'";
+    let versions: Vec<_> =
+        ask(&two.results, sql).into_iter().map(|row| row["world_version"].clone()).collect();
+    assert!(versions.len() == 2 && versions[0] == versions[1], "{plan} made {versions:?}");
+}
+
+#[test]
+fn the_page_shows_an_experiment_that_has_only_runs_of_an_older_version() {
+    let two = Two::new("versions_page");
+    let spec = two.world.path().join("spec.yaml").display().to_string();
+    move_wall(two.world.path(), ".25", ".2");
+    two.say(&["run", &spec, "name=other", "seeds=[0]"]);
+    let page = served(&two.results, &[("GET", "/api/compare?experiment=rod", "")]).remove(0);
+    assert!(page["notes"].to_string().contains("which has changed since"), "{page}");
+    assert!(page["tables"].as_array().is_some_and(|tables| !tables.is_empty()), "{page}");
+}
 
 /// The results of two runs in a world, and of one run with more episodes after its wall was moved.
 struct Two {

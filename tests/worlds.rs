@@ -738,7 +738,8 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place() {
         (
             "sample_rate_hz: 10",
             "sample_rate_hz: 7",
-            "own.yaml:5:17: 7 Hz does not divide the simulation's 1000 Hz; use one that does, such as 10, 20, 50, 100",
+            "own.yaml:5:17: 7 Hz does not divide the simulation's 1000 Hz; use one that does, such as 10, 20, 50, 100, \
+             or set step_rate_hz to 1001",
             "simulation.sample_rate_hz=10",
             "simulation.actuation_seconds=1",
             "own.yaml:5:17: 7 Hz does not divide",

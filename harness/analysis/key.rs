@@ -1,5 +1,6 @@
 //! The keys by which means are told apart.
 
+use super::settings::OF_RUNS;
 use harness_spec::{intern, varied_setting};
 use std::str::FromStr;
 
@@ -33,7 +34,9 @@ impl FromStr for Key {
     /// `variant`, if no other setting has the same name.
     fn from_str(text: &str) -> Result<Self, String> {
         let named = Self::ALL.into_iter().find(|key| key.name() == text);
-        named.or_else(|| Some(Self::Setting(intern(&varied_setting(text)?)))).ok_or_else(|| {
+        let of_runs = || OF_RUNS.into_iter().find(|key| *key == text).map(Self::Setting);
+        let setting = || Some(Self::Setting(intern(&varied_setting(text)?)));
+        named.or_else(of_runs).or_else(setting).ok_or_else(|| {
             let allowed = Self::ALL.map(Self::name).join(", ");
             format!(
                 "there is no key '{text}'; allowed: {allowed}, or a setting, such as input or network.hidden"

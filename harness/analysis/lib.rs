@@ -37,10 +37,10 @@ pub use subset::Subset;
 pub use undefined::Undefined;
 
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
-use harness_registry::{Recorded, Registry, RunRecord, Status, forces_of, quoted};
+use harness_registry::{Asked, Recorded, Registry, RunRecord, Status, forces_of};
 use harness_shared::numbers::counted;
 use harness_shared::{meant, nearest};
-use harness_spec::{Layout, Origin, QUICK, RunSpec};
+use harness_spec::{Layout, Origin, QUICK, RunSpec, Scenario};
 use harness_sql::{Condition, Query, implies};
 use harness_tables::lazily;
 use harness_tables::schema::Table;
@@ -353,18 +353,68 @@ impl Analysis {
     /// `None` if no spec of this name makes such runs. Published results are left as they are, so the command makes the
     /// runs in the usual results folder.
     pub fn command(&self, name: &str, quick: bool) -> Option<String> {
-        let (option, ending) = if quick { (" --quick", QUICK) } else { ("", "") };
-        let experiment = format!("{name}{ending}");
+        let (asked, experiment) = self.asked(name, quick);
+        self.command_of(&asked, &experiment)
+    }
+
+    /// What makes runs of the experiment `name` with the requested settings, and the name of the experiment of such
+    /// runs.
+    fn asked(&self, name: &str, quick: bool) -> (Asked, String) {
+        let experiment = format!("{name}{}", if quick { QUICK } else { "" });
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(&experiment));
-        let overrides: Vec<String> = about.filter_map(Setting::as_override).collect();
-        let made = harness_spec::load(Path::new(name), &overrides, quick).ok()?;
-        let overrides = overrides.iter().map(|text| format!(" {}", quoted([text.as_str()])));
-        let command = format!("run {name}{option}{}", overrides.collect::<String>());
-        let command = || match self.is_published() {
+        let overrides = about.filter_map(Setting::as_override).collect();
+        (Asked { spec: name.into(), overrides, quick }, experiment)
+    }
+
+    /// The commands that make runs like those of the experiment `name` in a scenario, or in all of them, but with other
+    /// values of the settings `varied`: one for all runs that were made with the same settings. None if no spec makes
+    /// such runs.
+    pub fn commands_like(
+        &self,
+        name: &str,
+        quick: bool,
+        scenario: Option<Scenario>,
+        varied: &[(&str, String)],
+    ) -> BTreeSet<String> {
+        let (requested, experiment) = self.asked(name, quick);
+        let is_varied = |text: &String| varied.iter().any(|(key, _)| text.starts_with(&format!("{key}=")));
+        let runs = self.runs(&experiment).iter();
+        let runs = runs.filter(|run| scenario.is_none_or(|of| run.record.spec.scenario == Origin::from(of)));
+        let asked = |run: &Run| {
+            let mut asked = Asked::of(&run.record.provenance.command).unwrap_or_else(|| requested.clone());
+            asked.overrides.retain(|text| !is_varied(text));
+            asked
+        };
+        let command = |asked: Asked| {
+            // The spec of a built-in experiment is found by its name everywhere.
+            let by_name = Asked { spec: name.into(), ..asked.clone() };
+            let (mut asked, made) = [asked, by_name, requested.clone()]
+                .into_iter()
+                .find_map(|asked| made_by(&asked, &experiment).map(|made| (asked, made)))?;
+            let own = made.scenarios.iter().find(|own| scenario.is_some_and(|of| own.name() == of.name()));
+            if let Some(own) = own {
+                let own = match own {
+                    Origin::File(path) => serde_json::to_string(path).ok()?,
+                    other => other.name().to_owned(),
+                };
+                asked.overrides.retain(|text| !text.starts_with("scenarios="));
+                asked.overrides.push(format!("scenarios=[{own}]"));
+            }
+            asked.overrides.extend(varied.iter().map(|(key, value)| format!("{key}={value}")));
+            self.command_of(&asked, &experiment)
+        };
+        let asked: BTreeSet<Asked> = runs.map(asked).collect();
+        asked.into_iter().filter_map(command).collect()
+    }
+
+    /// The command with these words, if it makes runs of this experiment.
+    fn command_of(&self, asked: &Asked, experiment: &str) -> Option<String> {
+        made_by(asked, experiment)?;
+        let command = format!("run {}", asked.words());
+        Some(match self.is_published() {
             true => format!("harness {command}"),
             false => self.registry.command(&command),
-        };
-        (made.name == experiment).then(command)
+        })
     }
 
     /// Whether there are runs that count, and all of them are published copies.
@@ -726,6 +776,12 @@ impl Experiment {
         let setting = |(key, value)| Setting { experiment: Some(experiment.to_owned()), key, value };
         chosen.into_iter().map(setting).collect()
     }
+}
+
+/// The experiment whose runs a command makes, if it is the one of this name.
+fn made_by(asked: &Asked, experiment: &str) -> Option<harness_spec::Experiment> {
+    let made = harness_spec::load(&asked.spec, &asked.overrides, asked.quick).ok()?;
+    (made.name == experiment).then_some(made)
 }
 
 /// The key that most runs have. If several keys are equally common, that of the run that was started last.

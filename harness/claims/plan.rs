@@ -130,8 +130,7 @@ fn step<'a>(analysis: &Analysis, judgment: &Judgment, quick: bool) -> Option<Ste
         let new: usize = lacking.iter().map(|seed| existing.lacks(*seed)).sum();
         runs += new;
         seconds += new as f64 * existing.seconds(more);
-        let run = analysis.command(name, quick);
-        commands.extend(run.map(|run| command(&run, judgment.scenario, &existing.runs, more, &lacking)));
+        commands.extend(existing.commands(analysis, (name, quick), judgment.scenario, more, &lacking));
     }
     Some(Step { more, there, count, runs, seconds, commands, decides: Vec::new() })
 }
@@ -188,23 +187,32 @@ impl<'a> Existing<'a> {
         }
         (trained + collected.values().sum::<f64>()) / self.runs.len().max(1) as f64
     }
-}
 
-/// The command that makes the runs with these seeds, of the runs or of their datasets.
-fn command(run: &str, scenario: Option<Scenario>, runs: &[&Run], more: More, seeds: &[u64]) -> String {
-    let scenarios = scenario.map(|scenario| format!("scenarios=[{scenario}]"));
-    let listed =
-        |seeds: &[u64], between: &str| seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(between);
-    match more {
-        More::Seeds => {
-            let seeds = format!("seeds=[{}]", listed(seeds, ","));
-            format!("{run} {}", quoted(scenarios.as_deref().into_iter().chain([seeds.as_str()])))
+    /// The commands that make runs with these seeds, or with datasets of these seeds, of an experiment (its name, and
+    /// whether its runs are quick).
+    fn commands(
+        &self,
+        analysis: &Analysis,
+        (name, quick): (&str, bool),
+        scenario: Option<Scenario>,
+        more: More,
+        seeds: &[u64],
+    ) -> BTreeSet<String> {
+        let join =
+            |seeds: &[u64], between| seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(between);
+        if more == More::Seeds {
+            let varied = [("seeds", format!("[{}]", join(seeds, ",")))];
+            return analysis.commands_like(name, quick, scenario, &varied);
         }
-        More::Datasets => {
-            let of_runs: BTreeSet<u64> = runs.iter().map(|run| run.record.spec.seed).collect();
-            let of_runs = format!("seeds=[{}]", listed(&of_runs.into_iter().collect::<Vec<_>>(), ","));
-            let words = quoted(scenarios.as_deref().into_iter().chain([of_runs.as_str()]));
-            format!("for seed in {}; do {run} {words} simulation.seed=$seed; done", listed(seeds, " "))
-        }
+        let of_runs: BTreeSet<u64> = self.runs.iter().map(|run| run.record.spec.seed).collect();
+        let of_runs = format!("[{}]", join(&of_runs.into_iter().collect::<Vec<_>>(), ","));
+        // Any seed stands for the variable of the loop until the words are quoted.
+        let varied = [("seeds", of_runs), ("simulation.seed", "0".into())];
+        let commands = analysis.commands_like(name, quick, scenario, &varied).into_iter();
+        let each = |run: String| {
+            let run = run.replacen(&quoted(["simulation.seed=0"]), "simulation.seed=$seed", 1);
+            format!("for seed in {}; do {run}; done", join(seeds, " "))
+        };
+        commands.map(each).collect()
     }
 }

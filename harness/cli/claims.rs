@@ -12,7 +12,7 @@ use harness::claims::{
     corrected,
 };
 use harness::numbers::{counted, duration, rounded};
-use harness::registry::{Registry, quoted};
+use harness::registry::{Registry, path_word};
 use harness::spec::{self, Experiment, Origin, QUICK, Reading, Scenario};
 use polars::prelude::DataFrame;
 use std::collections::{BTreeMap, BTreeSet};
@@ -223,7 +223,7 @@ impl Claims {
         let matrix = readings.judge(chosen)?;
         if matrix.rows.is_empty() {
             let quick = if self.quick { " --quick" } else { "" };
-            let path = quoted([&*path.to_string_lossy()]);
+            let path = path_word(path);
             bail!(
                 "there are no runs of {}; make them with `{}`",
                 spec.name,
@@ -463,11 +463,12 @@ fn print_plan(plan: &Plan, judgments: &[Judgment]) {
         claims.iter().map(name).collect::<Vec<_>>().join(", ")
     };
     for step in &plan.steps {
-        let Step { more, there, count, runs, seconds, .. } = step;
+        let Step { more, there, count, seconds, .. } = step;
         let purpose = if *there == 1 { "give an interval to" } else { "decide" };
         print_text(&format!(
-            "{}, {runs} runs, about {}, would {purpose} {}{}",
+            "{}, {}, about {}, would {purpose} {}{}",
             more.counted(*count),
+            counted(step.runs, "run"),
             duration(*seconds),
             named(&step.decides),
             if step.commands.is_empty() { "" } else { ":" }

@@ -9,7 +9,7 @@ use harness::collection::dataset_of;
 use harness::experiment::describe;
 use harness::files::write_bytes;
 use harness::numbers::{bytes, counted};
-use harness::registry::{Recorded, Registry, RunRecord, Status, Versions, quoted};
+use harness::registry::{Recorded, Registry, RunRecord, Status, Versions, path_word};
 use harness::simulation::{Scene, mujoco_version};
 use harness::spec::parse_task;
 use harness::transfer::{self, PackError, Packed};
@@ -51,7 +51,7 @@ impl Pack {
             if self.datasets { counted(datasets, "dataset") } else { "without their datasets".into() };
         let (runs, files, size) = (counted(runs, "run"), counted(files, "file"), bytes(size));
         print_text(&format!("{runs}, {datasets}: {files}, {size} in {}", self.output.display()));
-        let command = format!("harness unpack {}", quoted([&*self.output.to_string_lossy()]));
+        let command = format!("harness unpack {}", path_word(&self.output));
         print_command("unpack it with: ", &command);
         Ok(ExitCode::from(DONE))
     }
@@ -76,8 +76,7 @@ impl Unpack {
             match collection_of(registry, record) {
                 Ok(spec) => {
                     print_text(&format!("{lacking}collect the same samples with:"));
-                    let spec = quoted([&*spec.to_string_lossy()]);
-                    print_command("  ", &registry.command(&format!("collect {spec}")));
+                    print_command("  ", &registry.command(&format!("collect {}", path_word(&spec))));
                 }
                 Err(reason) => print_text(&format!(
                     "{lacking}pack it with `harness pack --datasets` where it is. It can't be collected here: {reason}"

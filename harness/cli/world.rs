@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
 use harness::numbers::counted;
-use harness::registry::quoted;
+use harness::registry::path_word;
 use harness::simulation::{Addable, Scene, SceneRenderer, SimulationError, actuate, draft_world, notes};
 use harness::spec::{Definition, Modality, World, is_name, world_schema};
 use std::path::{Path, PathBuf};
@@ -168,10 +168,9 @@ fn advised(error: anyhow::Error, model: &Path, output: Option<&Path>) -> anyhow:
 
 /// Returns the arguments that write a world file.
 fn new_command(model: &Path, output: Option<&Path>, actuates: bool) -> String {
-    let mut words = vec!["world".into(), "new".into(), model.to_string_lossy()];
-    words.extend(actuates.then(|| "--actuate".into()));
-    words.extend(output.into_iter().flat_map(|output| ["--output".into(), output.to_string_lossy()]));
-    quoted(words.iter().map(|word| &**word))
+    let actuate = if actuates { " --actuate" } else { "" };
+    let output = output.map_or(String::new(), |output| format!(" --output {}", path_word(output)));
+    format!("world new {}{actuate}{output}", path_word(model))
 }
 
 /// Refuses a path whose name can't be that of a world.

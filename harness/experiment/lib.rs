@@ -207,9 +207,11 @@ impl Source {
         spec.check(self.dataset.layout()).map_err(unsuitable)
     }
 
-    /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
+    /// Returns the path of the world file; `None` for a built-in world and an imported dataset, and for a path that is
+    /// not UTF-8, because records are texts.
     fn world_file(&self) -> Option<PathBuf> {
-        self.scene.as_ref().and_then(|scene| scene.world().path())
+        let path = self.scene.as_ref().and_then(|scene| scene.world().path());
+        path.filter(|path| path.to_str().is_some())
     }
 
     /// Returns the provenance of a run on these samples.

@@ -1,7 +1,7 @@
 //! Command lines of the harness, as text.
 
 use super::{DEFAULT_ROOT, Registry};
-use harness_shared::quoted;
+use harness_shared::{path_word, quoted};
 use harness_spec::RunSpec;
 use std::path::Path;
 
@@ -17,7 +17,7 @@ pub(super) fn command_in(root: &Path, command: &str) -> String {
     if root == Path::new(DEFAULT_ROOT) {
         return format!("harness {command}");
     }
-    format!("harness --results {} {command}", quoted([&*root.to_string_lossy()]))
+    format!("harness --results {} {command}", path_word(root))
 }
 
 /// The command that makes only the run of `spec`, one of the runs that `command` makes. Lists of seeds, latent sizes,

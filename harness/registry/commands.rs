@@ -5,7 +5,7 @@ use super::folders::Recorded;
 use super::record::RunRecord;
 use super::{Registry, SPEC};
 use harness_shared::files::folders;
-use harness_shared::quoted;
+use harness_shared::{path_word, quoted};
 use harness_spec::{self as spec, RunSpec};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +20,8 @@ pub(super) struct Commands<'a> {
     recorded: &'a [Recorded],
     /// The runs that each command makes, for the commands checked so far.
     made: RefCell<BTreeMap<String, Rc<Made>>>,
+    /// Why each dataset can't be collected again; `None` if nothing is known against it.
+    lost: RefCell<BTreeMap<String, Option<String>>>,
 }
 
 /// How a run or dataset can be made again.
@@ -59,7 +61,7 @@ type Made = Result<(String, BTreeSet<(String, Option<PathBuf>)>), String>;
 impl<'a> Commands<'a> {
     /// Searches the commands of all recorded runs.
     pub fn new(registry: &'a Registry, recorded: &'a [Recorded]) -> Self {
-        Self { registry, recorded, made: RefCell::default() }
+        Self { registry, recorded, made: RefCell::default(), lost: RefCell::default() }
     }
 
     /// How the run of a folder can be made again. Without a record, the command is found by the spec in the folder and
@@ -76,7 +78,8 @@ impl<'a> Commands<'a> {
         let Some(dataset) = self.datasets().into_iter().find(is_own) else { return Again::Unknown };
         // Without a record, the world is that of another run on the dataset.
         let same = || self.recorded.iter().map(|(_, other)| other).find(|other| other.dataset == dataset);
-        let world = record.or_else(same).and_then(|record| record.provenance.world_file.as_deref());
+        let like = record.or_else(same);
+        let world = like.and_then(|record| record.provenance.world_file.as_deref());
         let is_other = |other: &&RunRecord| other.experiment == experiment && other.spec.trained().is_some();
         let others = self.recorded.iter().map(|(_, other)| other).filter(is_other);
         let own = record.map(|record| command_of(&record.provenance.command, &spec));
@@ -86,7 +89,7 @@ impl<'a> Commands<'a> {
         for command in own.iter().chain(&others) {
             let found = self.again("run", command, experiment, &spec, world);
             match found {
-                Again::Command(_) => return found,
+                Again::Command(_) => return self.on_dataset(found, like),
                 // The commands of other runs may never have made this one.
                 Again::Changed(_) if own.as_ref() != Some(command) => {}
                 _ if matches!(best, Again::Unknown) => best = found,
@@ -102,7 +105,38 @@ impl<'a> Commands<'a> {
             return Again::Unknown;
         }
         let by = &record.provenance;
-        self.again("collect", &by.command, &record.experiment, &record.spec, by.world_file.as_deref())
+        let world = by.world_file.as_deref();
+        let again = self.again("collect", &by.command, &record.experiment, &record.spec, world);
+        self.on_dataset(again, Some(record))
+    }
+
+    /// `again`, unless the dataset of a run can't be had any more.
+    fn on_dataset(&self, again: Again, record: Option<&RunRecord>) -> Again {
+        let Some(record) = record else { return again };
+        let lost = self.lost.borrow().get(&record.dataset).cloned();
+        let lost = lost.unwrap_or_else(|| {
+            let lost = self.loss(record);
+            self.lost.borrow_mut().insert(record.dataset.clone(), lost.clone());
+            lost
+        });
+        lost.map_or(again, Again::Changed)
+    }
+
+    /// Why the dataset of a run can't be had any more, and what to do. `None` if nothing is known against it.
+    fn loss(&self, record: &RunRecord) -> Option<String> {
+        let Some(simulation) = &record.spec.simulation else {
+            let is_gone = !self.registry.datasets().join(&record.dataset).exists();
+            let reason = "the dataset was imported, and is not there; import it again with the same mapping";
+            return is_gone.then(|| reason.to_owned());
+        };
+        let now = self.registry.datasets_now?(&record.world(), &[simulation])?;
+        (!now.contains(&record.dataset)).then(|| {
+            format!(
+                "the world {} or MuJoCo has changed since, so it can't be made again; undo the change and verify again, \
+                 or remove the runs on the dataset {}",
+                record.spec.scenario, record.dataset
+            )
+        })
     }
 
     /// The names of all datasets that exist or that a run used.
@@ -164,16 +198,19 @@ fn read_spec(folder: &Path) -> Option<RunSpec> {
 }
 
 /// The words of a command that determine which runs it makes.
-#[derive(Default)]
-struct Asked {
-    spec: PathBuf,
-    overrides: Vec<String>,
-    quick: bool,
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Asked {
+    /// The spec, by its path or its name.
+    pub spec: PathBuf,
+    /// Settings that differ from the spec's, as `KEY=VALUE`.
+    pub overrides: Vec<String>,
+    /// Whether it makes quick runs.
+    pub quick: bool,
 }
 
 impl Asked {
     /// Parses a command of the harness. Returns `None` if it names no spec, or uses `--models`.
-    fn of(command: &str) -> Option<Self> {
+    pub fn of(command: &str) -> Option<Self> {
         let mut asked = Self::default();
         let mut words = shlex::split(command)?.into_iter().skip(1);
         while let Some(word) = words.next() {
@@ -191,10 +228,11 @@ impl Asked {
         (!asked.spec.as_os_str().is_empty()).then_some(asked)
     }
 
-    fn words(&self) -> String {
-        let spec = self.spec.to_string_lossy();
+    /// The words for a shell.
+    pub fn words(&self) -> String {
         let quick = self.quick.then_some("--quick");
-        quoted([&*spec].into_iter().chain(self.overrides.iter().map(String::as_str)).chain(quick))
+        let others = quoted(self.overrides.iter().map(String::as_str).chain(quick));
+        format!("{} {others}", path_word(&self.spec)).trim_end().to_owned()
     }
 
     fn made(&self) -> Made {

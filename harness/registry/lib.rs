@@ -33,9 +33,10 @@ mod worlds;
 
 pub use claimed::Claimed;
 pub use columns::read_columns;
+pub use commands::Asked;
 pub use error::RegistryError;
 pub use folders::{Recorded, Remembered};
-pub use harness_shared::quoted;
+pub use harness_shared::{path_word, quoted};
 pub use live::{LiveEpochs, live_epochs, live_table};
 pub use mark::Mark;
 pub use own_metric::{OwnMetric, OwnValue};

@@ -6,8 +6,9 @@ use super::record::{RunRecord, episodes_used};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use harness_dataset::{Inspection, inspect, is_lock};
 use harness_shared::files::{FolderLock, UNFINISHED, folders, sorted};
+use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
-use harness_shared::{quoted, seal};
+use harness_shared::{path_word, seal};
 use harness_tables::read_footer;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -132,10 +133,10 @@ impl Verification<'_> {
         let needed = self.used.get(&*name).copied().unwrap_or_default();
         let lost = inspection.missing.iter().filter(|index| **index < needed).count();
         if lost > 0 {
-            let problem = format!("{lost} of the {needed} episodes that a finished run used are missing");
+            let problem = format!("missing episodes: {lost} of the {needed} that a finished run used");
             report.broken(folder, again.explain(problem), collect);
         } else if !inspection.missing.is_empty() {
-            let problem = format!("{} episodes are not collected yet", inspection.missing.len());
+            let problem = format!("{} to be collected", counted(inspection.missing.len(), "episode"));
             report.note(folder, problem, collect);
         }
         inspection.unknown.iter().for_each(|path| report_stray(path, report));
@@ -180,14 +181,15 @@ impl Verification<'_> {
             let path = self.registry.datasets().join(name);
             let spec = self.registry.dataset_spec(name);
             if spec.is_file() {
-                let problem =
-                    format!("{} unpacked runs used this dataset, which was not packed", users().count());
-                let words = quoted(["collect", &*spec.to_string_lossy()]);
-                report.note(&path, problem, Some(self.registry.command(&words)));
+                let users = counted(users().count(), "unpacked run");
+                let problem = format!("{users} used this dataset, which was not packed");
+                let collect = self.registry.command(&format!("collect {}", path_word(&spec)));
+                report.note(&path, problem, Some(collect));
                 continue;
             }
             let again: Vec<Again> = users().map(|record| self.commands.collect(record)).collect();
-            let problem = format!("{} finished runs used this dataset, which is not there", users().count());
+            let runs = counted(users().count(), "finished run");
+            let problem = format!("{runs} used this dataset, which is not there");
             match again.iter().find_map(Again::command) {
                 Some(collect) => report.broken(&path, problem, Some(collect)),
                 None => {
@@ -199,11 +201,9 @@ impl Verification<'_> {
         let published: Vec<_> = records().filter(|record| is_gone(record) && record.published).collect();
         if !published.is_empty() {
             let datasets: BTreeSet<_> = published.iter().map(|record| &record.dataset).collect();
-            let problem = format!(
-                "{} runs were published without their {} datasets, as publishing does",
-                published.len(),
-                datasets.len()
-            );
+            let [runs, datasets] = [(published.len(), "published run"), (datasets.len(), "dataset")]
+                .map(|(count, noun)| counted(count, noun));
+            let problem = format!("the folder has {runs} and lacks their {datasets}, as publishing does");
             report.note(&self.registry.datasets(), problem, None);
         }
     }
@@ -306,11 +306,8 @@ fn report_imported(folder: &Path, inspection: Inspection, report: &mut Report) {
         report.broken(&path, problem + again, None);
     }
     if !inspection.missing.is_empty() {
-        report.broken(
-            folder,
-            format!("{} of its episodes are missing{again}", inspection.missing.len()),
-            None,
-        );
+        let missing = counted(inspection.missing.len(), "missing episode");
+        report.broken(folder, format!("it has {missing}{again}"), None);
     }
     inspection.unknown.iter().for_each(|path| report_stray(path, report));
 }
@@ -360,7 +357,7 @@ fn report_stray(path: &Path, report: &mut Report) {
 
 fn remove(path: &Path) -> String {
     let option = if path.is_dir() { "-r " } else { "" };
-    format!("rm {option}{}", quoted([&*path.to_string_lossy()]))
+    format!("rm {option}{}", path_word(path))
 }
 
 /// The command that makes a file, after the removal of a folder that stands in its place.
@@ -370,10 +367,5 @@ fn in_its_place(path: &Path, command: &str) -> String {
 
 fn rename(from: &Path, to: &Path) -> String {
     let parent = to.parent().unwrap_or(Path::new("."));
-    let words = [from, to].map(|path| path.to_string_lossy().into_owned());
-    format!(
-        "mkdir -p {} && mv {}",
-        quoted([&*parent.to_string_lossy()]),
-        quoted(words.iter().map(String::as_str))
-    )
+    format!("mkdir -p {} && mv {} {}", path_word(parent), path_word(from), path_word(to))
 }

@@ -3,8 +3,9 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_analysis::{
-    Analysis, AnalysisError, Comparison, Interval, Key, Labels, Mean, Part, Selection, Side, Subject,
-    all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings, whole_metrics,
+    Analysis, AnalysisError, Comparison, Interval, Key, Labels, Mean, Part, Selection, Setting, Side,
+    Subject, all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings,
+    whole_metrics,
 };
 use harness_catalog::{QueryError, query_all, query_recorded};
 use harness_claims::{Claim, ClaimsError, ClaimsFile, Judgment, Readings, judge};
@@ -208,8 +209,18 @@ pub fn settings(version: u128, runs: &[Recorded]) -> String {
 pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Result<Answer, Failure> {
     let selection = Selection { experiments: vec![experiment.to_owned()], ..Selection::default() };
     let registry = registry.anew();
-    let analysis = Analysis::of(&registry, runs.to_vec(), &selection)?;
-    let means = analysis.means_at_own_horizons()?;
+    let mut analysis = Analysis::of(&registry, runs.to_vec(), &selection)?;
+    let mut means = analysis.means_at_own_horizons()?;
+    let mut notes: Vec<String> = Vec::new();
+    if means.is_empty()
+        && let AnalysisError::Outdated { world, version, .. } = analysis.nothing_of(experiment)
+    {
+        notes.push(format!("of version {version} of the world {world}, which has changed since"));
+        let of_world = Setting { experiment: None, key: "world".to_owned(), value: version };
+        let selection = Selection { settings: vec![of_world], ..selection };
+        analysis = Analysis::of(&registry.anew(), runs.to_vec(), &selection)?;
+        means = analysis.means_at_own_horizons()?;
+    }
     if means.is_empty() {
         return Err(Failure::Unknown(format!("finished run of {experiment}")));
     }
@@ -247,7 +258,7 @@ pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Resu
         })
     };
     let tables: Vec<Value> = comparison.parts().into_iter().map(table).collect();
-    let notes: Vec<String> = analysis.notes().iter().cloned().chain(registry.left_out()).collect();
+    notes.extend(analysis.notes().iter().cloned().chain(registry.left_out()));
     Ok(Answer::Json(json!({ "tables": tables, "notes": notes }).to_string()))
 }
 

@@ -13,5 +13,5 @@ mod sobol;
 pub mod turns;
 
 pub use nearest::{meant, nearest};
-pub use shell::quoted;
+pub use shell::{path_word, quoted};
 pub use sobol::{SOBOL_DIMENSIONS, sobol};

@@ -1,6 +1,6 @@
 //! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
-use harness_registry::quoted;
+use harness_registry::{path_word, quoted};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
@@ -184,8 +184,7 @@ impl Job<'_> {
         for option in head {
             let _ = writeln!(script, "#SBATCH {option}");
         }
-        let word = |path: &Path| quoted([&*path.to_string_lossy()]);
-        let _ = writeln!(script, "\ncd {} || exit", word(self.workdir));
+        let _ = writeln!(script, "\ncd {} || exit", path_word(self.workdir));
         for line in setup {
             let _ = writeln!(script, "{line}");
         }
@@ -224,7 +223,7 @@ fi
 exit "$code"
 "#,
             program = quoted(self.program.iter().map(String::as_str)),
-            results = word(self.results),
+            results = path_word(self.results),
         );
         script
     }

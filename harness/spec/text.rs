@@ -1,7 +1,7 @@
 //! Reads the text of specs and worlds.
 
 use super::error::SpecError;
-use harness_shared::quoted;
+use harness_shared::path_word;
 use std::ffi::OsStr;
 use std::fs::File;
 use std::io::Read;
@@ -28,10 +28,9 @@ pub fn read_text(path: &Path) -> Result<String, SpecError> {
     })?;
     let is_model = |ending: &OsStr| MODELS.iter().any(|model| ending.eq_ignore_ascii_case(model));
     if path.extension().is_some_and(is_model) {
-        let path = path.to_string_lossy();
         return Err(unreadable(format!(
             "is a model; `harness world new {}` writes a world file for it",
-            quoted([&*path])
+            path_word(path)
         )));
     }
     let mut bytes = Vec::new();

@@ -970,8 +970,11 @@ impl World {
 
     /// Checks the sample rate that the file sets.
     pub(super) fn check_sample_rate(&self) -> Result<(), SpecError> {
-        simulation::sample_rate(self.file.sample_rate_hz, self.file.step_rate_hz)
-            .map_err(|message| self.fault("sample_rate_hz", message))
+        let WorldFile { sample_rate_hz: rate, step_rate_hz: steps, .. } = self.file;
+        simulation::sample_rate(rate, steps).map_err(|message| {
+            let multiple = rate * (steps / rate).round().max(1.0);
+            self.fault("sample_rate_hz", format!("{message}, or set step_rate_hz to {multiple}"))
+        })
     }
 
     /// Refuses a value that the world's setting can't have. The error is the message.
