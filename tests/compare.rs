@@ -748,6 +748,15 @@ fn what_does_not_change_in_the_test_samples_is_named() {
     let run = finish(&mut harness(&results, &["run", &path("spec.yaml")]));
     assert!(run.code == 0 && plain(&run.stderr).contains(is), "{}", run.stderr);
     assert!(plain(&run.stdout).contains("so its r2 and wmape are not defined"), "{}", run.stdout);
+    let shown = plain(&succeed(&results, &["show", "pendulum", "--all"]));
+    let [r2, wmape] =
+        ["R2 ↑", "WMAPE (%) ↓"].map(|metric| shown.find(metric).unwrap_or_else(|| panic!("{shown}")));
+    assert!(wmape < r2, "{shown}");
+    let plot = ["plot", "--x", "latent", "--y", "r2", "--output", &path("plot.svg")];
+    let refused = plain(&finish(&mut harness(&results, &plot)).stderr);
+    assert!(refused.starts_with(&format!("error: {is}is not defined; no finished run has")), "{refused}");
+    let joints = finish(&mut harness(&results, &["compare", "--modality", "latent"])).stdout;
+    assert!(!joints.contains("contact_force"), "{joints}");
     // The next command works, and shows errors that are defined.
     let (_, next) = run.stdout.split_once("next       harness --results ").unwrap();
     let next: Vec<&str> = next.split_whitespace().skip(1).collect();

@@ -569,6 +569,10 @@ fn rules_that_tie_settings_together_are_checked() {
             "spec.yaml:7:27: 'vision' is an image, whose values share one standard deviation; use shared",
         ),
     ]);
+    // Two worlds have the same modalities.
+    let unknown = refusal(format!("{BASE}scaling: {{force: {{scale: shared}}}}\n"));
+    assert!(unknown.contains("unknown key 'force' in 'scaling'"), "{unknown}");
+    assert_eq!(unknown.matches("proprioception").count(), 1, "{unknown}");
     let wide = "name: wide\nscenarios: [empty]\ninput: [vision]\noutput: [arm]\nlatent: [2]\n";
     assert_eq!(
         refusal(format!("{wide}network:\n  preset: multi_to_multi\n  channels: [256]\n  hidden: [2048]\n")),

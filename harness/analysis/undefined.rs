@@ -79,11 +79,15 @@ struct Row {
 
 impl Analysis {
     /// The metrics of predictions that lack a value in runs that count: at these horizons, in samples, or of the next
-    /// sample.
+    /// sample, and of these modalities or parts of them, or of all if there are none.
     ///
     /// # Errors
     /// When a table is damaged.
-    pub fn undefined(&self, horizons: Option<&BTreeSet<usize>>) -> Result<Undefined, QueryError> {
+    pub fn undefined(
+        &self,
+        horizons: Option<&BTreeSet<usize>>,
+        modalities: &[String],
+    ) -> Result<Undefined, QueryError> {
         let experiments: Vec<&str> = self.experiments().collect();
         let (table, horizon, further) = match horizons {
             Some(all) => {
@@ -106,13 +110,19 @@ impl Analysis {
         for Row { experiment, run, modality, direction, metric, horizon } in all {
             let own = runs.iter().find(|one| one.record.run == run && one.record.experiment == experiment);
             let Some(own) = own.filter(|_| Undefined::may_lack(&metric)) else { continue };
-            let place = (scenarios.len() > 1).then(|| format!("{}: ", own.record.spec.scenario.name()));
-            let part = direction.map(|part| format!(" {part}"));
-            undefined.add(
-                &[place, Some(modality.to_string()), part].into_iter().flatten().collect::<String>(),
-                horizon,
-                &metric,
-            );
+            let part = direction.map(|part| format!(" {part}")).unwrap_or_default();
+            let what = format!("{modality}{part}");
+            let is_own = |asked: &String| *asked == what || asked == modality.name();
+            if !modalities.is_empty() && !modalities.iter().any(is_own) {
+                continue;
+            }
+            let place = [
+                (experiments.len() > 1).then_some(experiment.as_str()),
+                (scenarios.len() > 1).then_some(own.record.spec.scenario.name()),
+            ];
+            let place = place.into_iter().flatten().collect::<Vec<_>>().join(", ");
+            let place = if place.is_empty() { place } else { format!("{place}: ") };
+            undefined.add(&format!("{place}{what}"), horizon, &metric);
         }
         Ok(undefined)
     }

@@ -160,7 +160,7 @@ impl Compare {
         self.check_metrics(&all)?;
         check_models(&self.models, &all)?;
         self.check_modalities(&all)?;
-        let undefined = analysis.undefined(self.horizons(&analysis)?.as_ref())?;
+        let undefined = analysis.undefined(self.horizons(&analysis)?.as_ref(), &self.modality)?;
         let undefined = undefined.sentences(|metric| self.metrics.iter().any(|name| name == metric));
         if !all.iter().any(|mean| self.wants(mean)) && self.metrics.join(",") == USUAL {
             self.metrics = ALWAYS_DEFINED.map(|metric| metric.name().to_owned()).to_vec();

@@ -9,7 +9,7 @@ use harness::analysis::differing;
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::dataset::{is_of_model, world_parts};
 use harness::judge::models::baselines_in_sql;
-use harness::metrics::{best, rounded};
+use harness::metrics::{Metric, best, rounded};
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord};
 use serde::Deserialize;
@@ -199,7 +199,10 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         let metric = Style::Text.metric(metric, unit);
         (vec![words(task), words(model), words(modality), words(direction), metric], numbers)
     };
-    let all: Vec<Row> = rows(&mut answer)?;
+    let mut all: Vec<Row> = rows(&mut answer)?;
+    let of = |row: &Row| (row.task.clone(), row.model.clone(), row.modality.clone(), row.direction.clone());
+    all.chunk_by_mut(|x, y| of(x) == of(y))
+        .for_each(|rows| rows.sort_by_key(|row| Metric::place(&row.metric)));
     let parts = all.chunk_by(|x, y| (&x.task, &x.model) == (&y.task, &y.model));
     let (same, differing): (Vec<&[Row]>, Vec<&[Row]>) =
         parts.partition(|rows| rows.iter().all(|row| row.a == row.b));

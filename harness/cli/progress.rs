@@ -83,7 +83,7 @@ impl Stage {
         [
             (main.to_owned(), 0),
             (details.to_owned(), 4),
-            (format!("{done}/{total} {}", self.unit), 1),
+            (format!("{done}/{total} {}", self.units(total)), 1),
             (rate, 3),
             (left, 2),
         ]
@@ -115,11 +115,17 @@ impl Stage {
         self.last_shown = Instant::now();
     }
 
+    /// The unit of so many steps: `run` or `runs`.
+    fn units(&self, count: u64) -> &str {
+        if count == 1 { self.unit.strip_suffix('s').unwrap_or(&self.unit) } else { &self.unit }
+    }
+
     fn end(&self) -> String {
         let seconds = self.bar.elapsed().as_secs_f64();
         let resumed =
             if self.resumed > 0 { format!(", {} of them before,", self.resumed) } else { String::new() };
-        let done = format!("{} {}{resumed} in {seconds:.1} s", self.bar.position(), self.unit);
+        let done = self.bar.position();
+        let done = format!("{done} {}{resumed} in {seconds:.1} s", self.units(done));
         format!("{}: {}", self.name, sentence(&[&done, &self.note]))
     }
 }
@@ -153,7 +159,6 @@ impl Progress for Bars {
         let style = if *IS_UTF8 { style } else { style.progress_chars("#-") };
         let bar = bar.with_style(style).with_prefix(name.clone()).with_finish(ProgressFinish::AndClear);
         bar.set_length(total);
-        let unit = if total == 1 { unit.strip_suffix('s').unwrap_or(unit) } else { unit };
         let (unit, note, last_shown) = (unit.into(), String::new(), Instant::now());
         *self.stage() = Some(Stage { name, unit, note, bar, taken, last_shown, resumed: 0, part: 0.0 });
     }

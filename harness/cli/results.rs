@@ -68,6 +68,9 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let place =
         |row: &Row| (row.task.clone(), Reverse(row.scenario.clone()), Natural::new(row.variant.as_str()));
     rows.sort_by_cached_key(place);
+    let of = |row: &Row| (place(row), row.latent, row.modality.clone(), row.direction.clone());
+    rows.chunk_by_mut(|a, b| of(a) == of(b))
+        .for_each(|rows| rows.sort_by_key(|row| Metric::place(&row.metric)));
     let row = |row: Row| {
         let values = [row.own, row.persistence, row.ridge, row.training_mean];
         let number = |(value, is_best): (&Option<f64>, bool)| match value {

@@ -54,7 +54,7 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
             true => "; ".to_owned(),
             false => meant(modality, &there.iter().map(String::as_str).collect::<Vec<_>>()),
         };
-        return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
+        return Err(FigureError::NoMeans { reasons: Vec::new(), meant, there: there.into_iter().collect() });
     }
     let labels = Labels::new(analysis, &[]);
     let differ = |key: &Key| values(*key, &shown, &labels).len() > 1;
@@ -111,7 +111,7 @@ fn draw_rows(
     let [errors, skills] = rows;
     let panels = values(Key::Scenario, &errors.means, labels);
     let slots = values(Key::Horizon, &errors.means, labels);
-    errors.plot.check(&errors.means, labels)?;
+    errors.plot.check(&errors.means, labels).map_err(FigureError::of_figure)?;
     let mut all = [errors, skills].map(|row| row.plot.series(&row.means, &panels, &slots, labels));
     let networks = all[0].iter().filter(|one| one.is_network).count();
     let surplus = all[0].len().saturating_sub(MOST_SERIES);

@@ -81,11 +81,18 @@ pub enum FigureError {
     },
     /// The means of a plot differ in a key that the plot does not show.
     #[error(
-        "the means differ in {key}: {}; distinguish them with --by or --facet, or choose some of them with --modality, \
-         --where or the names of experiments",
-        values.join("; ")
+        "the means differ in {key}: {}; {}",
+        values.join("; "),
+        if *can_distinguish {
+            "distinguish them with --by or --facet, or choose some of them with --modality, --where or the names of \
+             experiments"
+        } else {
+            "choose some of them with --where"
+        }
     )]
     Ambiguous {
+        /// Whether the caller chooses the keys that the plot shows.
+        can_distinguish: bool,
         /// The name of the key.
         key: &'static str,
         /// The key's values.
@@ -93,10 +100,13 @@ pub enum FigureError {
     },
     /// No finished run has the metric of a plot.
     #[error(
-        "no finished run has this metric for this task and modality{meant}available: {}",
+        "{}no finished run has this metric for this task and modality{meant}available: {}",
+        reasons.iter().map(|reason| format!("{reason}; ")).collect::<String>(),
         if there.is_empty() { "none".into() } else { there.join(", ") }
     )]
     NoMeans {
+        /// The reasons that are known.
+        reasons: Vec<String>,
         /// Which metric or modality was probably meant, in words.
         meant: String,
         /// What there is, such as `r2 of contact_force`.
@@ -179,6 +189,14 @@ pub enum FigureError {
 }
 
 impl FigureError {
+    /// The same error about a figure, which has no keys to choose.
+    fn of_figure(self) -> Self {
+        match self {
+            Self::Ambiguous { key, values, .. } => Self::Ambiguous { can_distinguish: false, key, values },
+            other => other,
+        }
+    }
+
     /// Whether nothing failed, but there is nothing to draw: runs or rows of their tables are missing.
     pub fn has_nothing_to_draw(&self) -> bool {
         matches!(
@@ -370,10 +388,11 @@ impl Figure {
         let with_remark = |drawing: Drawing| drawing.with_remark(remark.as_deref());
         let over_latent = |task| {
             let plot = Plot::over(usual_key(&analysis.means()?), task);
-            match first.filter(|_| plot.x == Key::Latent) {
+            let drawing = match first.filter(|_| plot.x == Key::Latent) {
                 None => plot.draw(analysis),
                 Some(first) => plot.draw_where(analysis, |of| of.variant == *first).map(with_remark),
-            }
+            };
+            drawing.map_err(FigureError::of_figure)
         };
         match self {
             Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {

@@ -141,7 +141,10 @@ impl Plot {
                 Some(modality) if !modalities.contains(&&**modality) => meant(modality, &modalities),
                 _ => "; ".to_owned(),
             };
-            return Err(FigureError::NoMeans { meant, there: there.into_iter().collect() });
+            let horizons = self.horizon.map(|horizon| BTreeSet::from([horizon]));
+            let undefined = analysis.undefined(horizons.as_ref(), self.modality.as_slice())?;
+            let reasons = undefined.sentences(|metric| metric == self.y);
+            return Err(FigureError::NoMeans { reasons, meant, there: there.into_iter().collect() });
         }
         self.draw_means(&means, &Labels::new(analysis, &keys), self.note_about_horizon(analysis))
     }
@@ -196,7 +199,7 @@ impl Plot {
             let values = values(key, means, labels);
             if values.len() > 1 {
                 let values: Vec<String> = values.iter().map(|value| value.text().to_owned()).collect();
-                return Err(FigureError::Ambiguous { key: key.name(), values });
+                return Err(FigureError::Ambiguous { can_distinguish: true, key: key.name(), values });
             }
         }
         Ok(())

@@ -116,6 +116,11 @@ impl Metric {
         Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT)
     }
 
+    /// Returns the place of a metric by its name: those of all modalities in their order, and after them all others.
+    pub fn place(name: &str) -> usize {
+        Self::all().position(|metric| metric.name() == name).unwrap_or(usize::MAX)
+    }
+
     /// Returns this metric over the region with this name. A metric of a region has no regions itself.
     pub fn in_region(self, region: &str) -> Self {
         match Self::GENERAL.iter().find(|general| **general == self) {

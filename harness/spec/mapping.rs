@@ -5,8 +5,8 @@ use super::origin::Scenario;
 use super::text::read_text;
 use harness_layout::{Definition, Layout, Modality};
 use harness_yaml::{
-    Entry, Hints, Node, Problem, Value, check_part, choices, is_name, parse, properties, resolve, shorten,
-    unknown,
+    Entry, Hints, Node, Problem, Value, check_part, choices, is_name, no_name, parse, properties, resolve,
+    shorten, unknown,
 };
 use serde_json::Value as Json;
 use std::path::Path;
@@ -18,7 +18,11 @@ static SCHEMA: LazyLock<Json> = LazyLock::new(|| {
         .expect("a test reads the schema")
 });
 
-const HINTS: Hints = Hints { accepts: |_, _| false, others: |_| "", unknown_key };
+const HINTS: Hints = Hints {
+    accepts: |_, _| false,
+    others: |_| "",
+    unknown_key: |entry, path| NAMED.contains(&path).then(|| no_name(entry, path)),
+};
 
 /// The sections whose keys are names.
 const NAMED: [&str; 2] = ["streams", "modalities"];
@@ -87,16 +91,6 @@ fn unique(mut names: Vec<&str>) -> Vec<&str> {
     let mut seen = std::collections::HashSet::new();
     names.retain(|name| seen.insert(*name));
     names
-}
-
-/// The message about a key that is no name, where every name is allowed.
-fn unknown_key(entry: &Entry, path: &str) -> Option<String> {
-    NAMED.contains(&path).then(|| {
-        format!(
-            "'{}' in '{path}' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first",
-            shorten(&entry.key)
-        )
-    })
 }
 
 /// Checks the rules for a mapping that the schema can't express. An error has the path at fault and the message.

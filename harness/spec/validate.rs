@@ -13,6 +13,7 @@ use super::world::World;
 use harness_layout::{Modality, Scale};
 use harness_yaml::{is_name, shorten, unknown};
 use serde_json::{Map, Value as Json};
+use std::collections::BTreeSet;
 
 /// Largest number of values in a tensor of a network: 1 GiB in single precision.
 const MAX_TENSOR_LEN: usize = 1 << 28;
@@ -492,8 +493,8 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
             && experiment.scenarios.iter().all(|o| experiment.world(o).is_some())
         {
             let worlds = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin));
-            let names: Vec<&str> =
-                worlds.flat_map(|world| world.modalities().collect::<Vec<_>>()).map(Modality::name).collect();
+            let names = worlds.flat_map(|world| world.modalities().collect::<Vec<_>>()).map(Modality::name);
+            let names: Vec<&str> = names.collect::<BTreeSet<_>>().into_iter().collect();
             return fault(
                 format!("scaling.{modality}"),
                 unknown("key", modality.name(), "scaling", &names, str::to_owned),

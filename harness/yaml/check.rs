@@ -223,13 +223,18 @@ impl Check<'_> {
 
 /// The message about a key that a section can't have. `names` are the keys that the schema lists.
 fn unknown_key(entry: &Entry, path: &str, names: &[&str]) -> String {
-    if names.is_empty() {
-        let key = shorten(&entry.key);
-        return format!(
-            "'{key}' in '{path}' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first"
-        );
+    match names {
+        [] => no_name(entry, path),
+        _ => unknown("key", &entry.key, path, names, str::to_owned),
     }
-    unknown("key", &entry.key, path, names, str::to_owned)
+}
+
+/// The message about a key that is no name, where every name is allowed.
+pub fn no_name(entry: &Entry, path: &str) -> String {
+    let key = shorten(&entry.key);
+    format!(
+        "'{key}' in '{path}' can't be a name; use 1 to 64 lower-case letters, digits and '_', a letter first"
+    )
 }
 
 fn unexpected(expected: &str, found: &Value, path: &str) -> String {
