@@ -453,6 +453,8 @@ def figures(
     single: str | None = None,
     multi: str | None = None,
     reading: str | None = None,
+    experiment: str | None = None,
+    modality: str | None = None,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> list[Path]:
@@ -466,6 +468,8 @@ def figures(
         single: the experiment to draw instead of `single_to_multi`.
         multi: the experiment to draw instead of `multi_to_multi`.
         reading: the reading of an experiment to draw instead of both, such as `paper/recommended`.
+        experiment: draws what the figures show of this experiment, of any robot, instead of the paper's experiments.
+        modality: the modality that `horizon` shows, or the part of it with one unit, such as `joints in rad`.
         where: settings that the runs must have, by dotted key, as in `compare`.
         results: the folder of datasets and runs.
 
@@ -473,7 +477,8 @@ def figures(
         The files that were written.
 
     Raises:
-        ValueError: there is no such figure, format or reading, or `reading` comes with `single` or `multi`.
+        ValueError: there is no such figure, format or reading, or `reading` or `experiment` comes with an argument that
+            it replaces.
         FileNotFoundError: there is no results folder.
         RuntimeError: a named figure, or every figure, can't be drawn. The message has the reasons.
 
@@ -486,6 +491,8 @@ def figures(
         raise ValueError("formats: there is none; allowed: svg, png, csv")
     if reading is not None and (single is not None or multi is not None):
         raise ValueError("reading: it replaces single and multi; leave these out")
+    if experiment is not None and (quick or single is not None or multi is not None or reading is not None):
+        raise ValueError("experiment: it replaces quick, single, multi and reading; leave these out")
     drawn, missing = _harness.figures(
         _names("names", names),
         Path(folder),
@@ -494,6 +501,8 @@ def figures(
         single,
         multi,
         reading,
+        experiment,
+        modality,
         _settings(where),
         Path(results),
     )

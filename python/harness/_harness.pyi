@@ -28,6 +28,7 @@ __all__ = [
     "plot",
     "query",
     "read_mapping",
+    "reserved_names",
     "report",
     "run",
     "verify",
@@ -60,6 +61,8 @@ def figures(
     single: str | None,
     multi: str | None,
     reading: str | None,
+    experiment: str | None,
+    modality: str | None,
     settings: list[str],
     results: Path,
 ) -> tuple[list[str], list[tuple[str, str]]]:
@@ -100,6 +103,9 @@ def collect(
     path: Path, overrides: list[str], quick: bool, results: Path, progress: bool, workers: int | None
 ) -> list[tuple[Path, int]]:
     """Each dataset's folder with the number of episodes that were simulated; see `harness.collect`."""
+
+def reserved_names() -> list[str]:
+    """The names that no modality may have, because they have another meaning."""
 
 def read_mapping(path: Path) -> str:
     """Reads and checks a mapping. Returns its content as JSON, whose keys are in the file's order.

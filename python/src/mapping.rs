@@ -5,6 +5,12 @@ use harness::spec;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
+/// The names that no modality may have, because they have another meaning.
+#[pyfunction]
+pub fn reserved_names() -> [&'static str; 11] {
+    spec::Modality::RESERVED
+}
+
 /// Reads and checks a mapping. Returns its content as JSON, whose keys are in the file's order.
 ///
 /// Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.

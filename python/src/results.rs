@@ -98,6 +98,8 @@ pub fn figures(
     single: Option<String>,
     multi: Option<String>,
     reading: Option<String>,
+    experiment: Option<String>,
+    modality: Option<String>,
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Drawn> {
@@ -108,13 +110,18 @@ pub fn figures(
     let reading = reading.transpose().map_err(|error| PyValueError::new_err(describe(&error)))?;
     let shown = Shown { quick, single, multi, reading };
     let draw = || -> Result<Drawn, AnalysisError> {
-        let analysis = shown.analysis(&registry, &settings)?;
-        let source = shown.source(&analysis);
+        let analysis = match &experiment {
+            Some(name) => Analysis::finished(&registry, std::slice::from_ref(name), &settings)?,
+            None => shown.analysis(&registry, &settings)?,
+        };
+        let source = shown.source(&analysis).showing(modality.clone());
         let (mut drawn, mut missing) = (Vec::new(), Vec::new());
         for figure in figures {
-            let saved =
-                figure.render(&source).and_then(|drawing| drawing.save(&folder, figure.name(), &formats));
-            match saved {
+            let drawing = match &experiment {
+                Some(name) => figure.render_of(&analysis, name, modality.clone()),
+                None => figure.render(&source),
+            };
+            match drawing.and_then(|drawing| drawing.save(&folder, figure.name(), &formats)) {
                 Ok(()) => drawn.push(figure.name().to_owned()),
                 Err(error) => missing.push((figure.name().to_owned(), describe(&error))),
             }

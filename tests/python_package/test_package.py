@@ -303,6 +303,9 @@ def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> 
         harness.claims(file=ROOT / "experiments/claims.yaml", reading="best", results=reference)
     one = harness.claims(verdicts["claim"][0], file=ROOT / "experiments/claims.yaml", results=reference)
     assert one["claim"].unique().to_list() == [verdicts["claim"][0]]
+    of = {"experiment": "memory", "modality": "contact_force", "folder": tmp_path, "formats": "csv"}
+    (horizon,) = harness.figures("horizon", results=reference, **of)
+    assert horizon.read_text().count("contact_force") > 100
     drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
     assert drawn == [tmp_path / "forces_dataset.svg", tmp_path / "forces_dataset.csv"]
     subprocess.run([*command, "figures", "forces_dataset", "--output", tmp_path / "out"], cwd=ROOT, check=True)
@@ -465,6 +468,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "format": lambda: harness.figures(formats=["gif"], results=results),
         "reading": lambda: harness.figures(reading="paper/nothing", results=results),
         "two sources": lambda: harness.figures(reading="paper/base", multi="smoke", results=results),
+        "two scopes": lambda: harness.figures(experiment="smoke", quick=True, results=results),
         "runs": lambda: harness.figures("regression", folder=results / "none", results=results),
         "plot key": lambda: harness.plot(x="latents", y="r2", results=results),
         "plot metric": lambda: harness.plot(x="latent", y="R2", results=results),
@@ -500,6 +504,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("iteration", TypeError, "'Dataset' object is not iterable"),
         ("reading", ValueError, "paper has no reading 'nothing'; its readings are base, recommended"),
         ("two sources", ValueError, "reading: it replaces single and multi"),
+        ("two scopes", ValueError, "experiment: it replaces quick, single, multi and reading"),
         ("name", TypeError, r"experiments: \['smoke'\] must be a text; give several names as several arguments"),
         ("assignment", TypeError, r"overrides: \['latent=4'\] must be a dictionary, such as"),
         ("where", TypeError, "where: 'training.epochs=2' must be a dictionary"),
@@ -713,9 +718,10 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     calls = {
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
+        "reserved_names": _harness.reserved_names,
         "compare": lambda: _harness.compare(["smoke"], [], set(), results),
         "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", None, False, [], results),
-        "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, None, None, None, [], results),
+        "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, *[None] * 5, [], results),
         "plot": lambda: _harness.plot(
             ["smoke"],
             "latent",

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from harness import _harness
+
 from . import csv, hdf5, matlab, parquet, ros2, zarr
 from .arrays import Arrays
-from .mapping import KNOWN, NAME, RESERVED, MappingError
+from .mapping import KNOWN, NAME, MappingError
 from .recording import duration
 from .streams import blaming, natural
 from .video import VIDEOS, Folder, Video
@@ -115,7 +117,7 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
         lines.append(f"  setpoint: {setpoint[1]}      # a guess: what the robot was commanded")
     else:
         lines.append("  setpoint:      # fill in: what the robot was commanded; one of the lines below")
-    taken = {"setpoint", *RESERVED, *KNOWN}
+    taken = {*_harness.reserved_names(), *KNOWN}
     has_vision = False
     for wish, term, is_image in modalities:
         if (wish, term, is_image) == setpoint:

@@ -15,10 +15,6 @@ import numpy as np
 from harness import _harness
 from harness.recorded import FINGER
 
-RESERVED = (
-    "dataset", "scenario", "episode", "sample", "time", "factors", "action", "kl", "total", "latent", "frame_difference"
-)
-"""Names that no modality may have, because they have another meaning or are computed."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 """What a dataset, a stream or a modality may be called."""
 UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
