@@ -64,7 +64,8 @@ fn a_lock_of_a_folder_that_is_removed_meanwhile_is_taken_again() {
     let lock = waits.join().unwrap();
     assert!(lock.is_some());
     assert!(FolderLock::holder(&folder).is_some());
-    assert!(FolderLock::holder(&aside).is_none());
+    // A process that another test is starting may have the file for a moment, so it is tried several times.
+    assert!(attempt(&aside).is_some());
 }
 
 #[test]
