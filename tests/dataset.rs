@@ -389,7 +389,7 @@ fn normalized_values_restore_to_what_was_recorded() {
     for modality in Modality::BUILT_IN.iter().copied() {
         let scale = &normalizers.modalities[&modality];
         let (mut values, expected, unit) = if samples.layout()[modality].is_image() {
-            let frames = SampleFrames::new(&samples, &normalizers, &at, modality).unwrap();
+            let frames = SampleFrames::new(&samples, &normalizers, &at, modality, None).unwrap();
             let mut values = vec![0.0; at.len() * FRAME_LEN];
             let each = values.chunks_exact_mut(FRAME_LEN).enumerate();
             each.for_each(|(index, frame)| frames.write(index, frame));

@@ -4,14 +4,12 @@
 use candle_core::backprop::GradStore;
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
+use finger::{ARM_JOINTS, JOINTS};
 use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
-use harness_learning::network::{
-    Architecture, Draw, Encoder, Observation, Parameters, Targets, Value, scalar,
-};
+use harness_learning::network::{Architecture, Draw, Encoder, Observation, Parameters, Targets, Value};
 use harness_learning::objective::{Objective, Prediction, Weighted};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
@@ -23,9 +21,8 @@ use harness_ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
     frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
 };
-use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples};
+use harness_samples::{Normalizers, Partition, Sample};
 use harness_shared::progress::Progress;
-use harness_spec::Episode;
 use harness_spec::{
     Action, Fusion, Layout, Loss, Memory, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task,
     Training, Window, World,
@@ -36,6 +33,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
+use walks::{walks, walks_of};
 
 #[path = "learning/additions.rs"]
 mod additions;
@@ -45,6 +43,8 @@ mod finger;
 mod memory;
 #[path = "learning/sets.rs"]
 mod sets;
+#[path = "common/walks.rs"]
+mod walks;
 
 /// Path of the repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
@@ -59,6 +59,10 @@ fn normal(random: &mut Random, shape: &[usize]) -> Tensor {
 
 fn variable(random: &mut Random, shape: &[usize]) -> Var {
     Var::from_tensor(&normal(random, shape)).unwrap()
+}
+
+fn scalar(tensor: &Tensor) -> Result<f64> {
+    tensor.to_scalar::<f32>().map(f64::from)
 }
 
 fn dense(frames: &Tensor) -> Arc<dyn Frames> {
@@ -632,47 +636,6 @@ fn reference_the_deep_network_agrees_with_its_pytorch_twin() {
     }
 }
 
-/// Episodes of random walks, because these tests need no simulation.
-fn walks(episodes: u32, samples: usize) -> Samples {
-    walks_of(&vec![samples; episodes as usize])
-}
-
-/// The same with episodes of these numbers of samples.
-fn walks_of(lengths: &[usize]) -> Samples {
-    let recording = Recording { sample_rate_hz: 10.0, seed: 0 };
-    let room = lengths.iter().sum();
-    let mut all =
-        Samples::new(recording, Layout::finger(), room, FramePlace::Memory, Path::new("nowhere")).unwrap();
-    for (index, &samples) in (0..).zip(lengths) {
-        let mut random = random(u64::from(index) + 100);
-        let mut walk = |width: usize| -> Vec<f32> {
-            let mut at = vec![0.0; width];
-            let rows = (0..samples).flat_map(|_| {
-                at.iter_mut().zip(random.normal(width)).for_each(|(value, step)| *value += 0.1 * step);
-                at.clone()
-            });
-            rows.collect()
-        };
-        let arm = walk(ARM_JOINTS);
-        let bytes = |value: f32| ((value + 3.0) * 40.0).clamp(0.0, 255.0) as u8;
-        let mut episode = Episode::new(Layout::finger(), index, samples);
-        let values = [
-            (Modality::PROPRIOCEPTION, walk(JOINTS)),
-            (Modality::SETPOINT, arm.clone()),
-            (Modality::ARM, arm),
-            (Modality::CONTACT_FORCE, walk(JOINTS)),
-            (Modality::CONTACT_FORCE_MEAN, walk(JOINTS)),
-        ];
-        for (modality, values) in values {
-            episode.vectors[Layout::finger().position(modality).unwrap()] = values;
-        }
-        let vision = Layout::finger().position(Modality::VISION).unwrap();
-        episode.images[vision] = walk(FRAME_LEN).into_iter().map(bytes).collect();
-        all.push(&episode).unwrap();
-    }
-    all
-}
-
 const INPUT: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::VISION];
 const OUTPUT: [Modality; 3] = [Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE, Modality::FRAME_DIFFERENCE];
 
@@ -693,12 +656,8 @@ impl Bench {
             .map(|&modality| (modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap()))
             .collect();
         let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
-        let data = NormalizedData {
-            samples: Arc::new(samples),
-            normalizers: Arc::new(normalizers),
-            action: Action::Increment,
-            device: Device::Cpu,
-        };
+        let (samples, normalizers) = (Arc::new(samples), Arc::new(normalizers));
+        let data = NormalizedData::new(samples, normalizers, Action::Increment, Device::Cpu);
         let loss_weights = BTreeMap::from([(Modality::CONTACT_FORCE, 2.0)]);
         let training =
             Training { batch_size: 8, epochs: 4, patience: None, loss_weights, ..Training::default() };

@@ -489,7 +489,11 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "training: {device: cuda, precision: bf16}\n",
-            "spec.yaml:7:37: bf16 is for the cpu; a network on cuda is trained in f32",
+            "spec.yaml:7:37: bf16 is for the cpu; a network on cuda is trained in f32 or tf32",
+        ),
+        (
+            "training: {precision: tf32}\n",
+            "spec.yaml:7:23: tf32 is for cuda; a network on the cpu is trained in f32 or bf16",
         ),
         (
             "training: {loss_weights: {vision: 1}}\n",

@@ -414,12 +414,8 @@ impl<'a> Runner<'a> {
         }
         let normalizers =
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
-        let data = NormalizedData {
-            samples: Arc::new(samples),
-            normalizers: Arc::new(normalizers),
-            action: spec.action,
-            device: open_device(device(spec))?,
-        };
+        let (samples, normalizers) = (Arc::new(samples), Arc::new(normalizers));
+        let data = NormalizedData::new(samples, normalizers, spec.action, candle_core::Device::Cpu);
         let bytes = Samples::bytes(source.dataset.layout(), source.dataset.len(), frames);
         Ok(OpenData { data, partition, bytes, seconds: begin.elapsed().as_secs_f64() })
     }
@@ -510,6 +506,8 @@ struct TrainingRun<'a> {
     trained: &'a Trained,
     claimed: &'a Claimed<'a>,
     prepared: &'a PreparedData,
+    /// The prepared data on the run's own device. Runs that are trained at once do not share a GPU's queue.
+    data: NormalizedData,
     progress: &'a dyn Progress,
     /// Shows the epochs to other processes while the run is trained.
     epochs: LiveEpochs<'a>,
@@ -534,7 +532,7 @@ impl TrainingRun<'_> {
 
     /// Trains and evaluates the network that predicts.
     fn predict(&self, outcome: &mut Outcome) -> Result<(Box<dyn Network>, Parameters), ExperimentError> {
-        let (spec, data) = (self.spec, &self.prepared.open.data);
+        let (spec, data) = (self.spec, &self.data);
         let begin = Instant::now();
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
@@ -566,7 +564,7 @@ impl TrainingRun<'_> {
 
     /// Trains and evaluates a new decoder on the latent states of the frozen network.
     fn reconstruct(&self, network: &dyn Network, outcome: &mut Outcome) -> Result<(), ExperimentError> {
-        let (spec, data) = (self.spec, &self.prepared.open.data);
+        let (spec, data) = (self.spec, &self.data);
         let begin = Instant::now();
         let task = Task::Reconstruction;
         let mut parameters = Parameters::new();
@@ -606,7 +604,7 @@ impl TrainingRun<'_> {
             log: &|epochs| self.epochs.set(task, epochs),
         };
         let epochs = fit.run(objective, parameters)?;
-        let NormalizedData { normalizers, action, .. } = &self.prepared.open.data;
+        let NormalizedData { normalizers, action, .. } = &self.data;
         let network =
             Description::new(architecture, task, *action, &self.trained.training.losses, normalizers)
                 .map_err(LearningError::from)?;
@@ -623,10 +621,10 @@ impl TrainingRun<'_> {
         outcome: &mut Outcome,
     ) -> Result<(), ExperimentError> {
         let begin = Instant::now();
-        let PreparedData { open: OpenData { data, partition, .. }, references, .. } = self.prepared;
+        let PreparedData { open: OpenData { partition, .. }, references, .. } = self.prepared;
         let sampled = &references.sampled;
         let test = Test {
-            samples: &data.samples,
+            samples: &self.data.samples,
             task,
             windows: &partition.test,
             since_s: &self.spec.window.since_s,

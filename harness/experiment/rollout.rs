@@ -130,12 +130,8 @@ pub fn rollout(
     if episode >= episodes {
         return Err(RolloutError::NoEpisode { run: record.run, episode, episodes });
     }
-    let data = NormalizedData {
-        samples: Arc::new(dataset.load_episode(episode)?),
-        normalizers: Arc::new(normalizers),
-        action: spec.action,
-        device: Device::Cpu,
-    };
+    let samples = Arc::new(dataset.load_episode(episode)?);
+    let data = NormalizedData::new(samples, Arc::new(normalizers), spec.action, Device::Cpu);
     let window = Window { horizon, ..spec.window.clone() };
     let present = data.samples.windows(&window.judged());
     if present.is_empty() {

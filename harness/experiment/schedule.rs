@@ -4,6 +4,7 @@
 use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes};
 use harness_collection::check_missing;
 use harness_dataset::AnyDataset;
+use harness_learning::open_device;
 use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::files::FolderLock;
 use harness_shared::memory;
@@ -385,7 +386,8 @@ impl WorkerPool<'_> {
         let own = everyone.job(&spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
         let epochs = LiveEpochs::of(claimed);
-        TrainingRun { spec, trained, claimed, prepared: &prepared, progress, epochs }.run()
+        let data = prepared.open.data.on(open_device(trained.training.device)?);
+        TrainingRun { spec, trained, claimed, prepared: &prepared, data, progress, epochs }.run()
     }
 
     /// Reserves memory to train a run. Waits while other jobs' trainings use it. Without this check, the system would

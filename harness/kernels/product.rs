@@ -32,6 +32,8 @@ pub enum Precision {
     F32,
     /// They are rounded to bf16, which has 8 significant bits. The result remains f32.
     Bf16,
+    /// As [`Precision::F32`] on a processor. A GPU's matrix units round them to TF32, which has 11 significant bits.
+    Tf32,
 }
 
 /// How products are computed.
@@ -66,10 +68,10 @@ pub fn product(
     assert_eq!(out.len(), m * n, "size of a product's destination");
     match (unit, precision) {
         #[cfg(target_arch = "x86_64")]
-        (Unit::Tiles, Precision::F32) => amx::product::<3>(a, b, out, into, threads),
+        (Unit::Tiles, Precision::F32 | Precision::Tf32) => amx::product::<3>(a, b, out, into, threads),
         #[cfg(target_arch = "x86_64")]
         (Unit::Tiles, Precision::Bf16) => amx::product::<1>(a, b, out, into, threads),
-        (_, Precision::F32) => by_gemm(a, b, out, into, threads),
+        (_, Precision::F32 | Precision::Tf32) => by_gemm(a, b, out, into, threads),
         (_, Precision::Bf16) => {
             let (a_values, b_values) = (rounded(a.values), rounded(b.values));
             by_gemm(a.with_values(&a_values), b.with_values(&b_values), out, into, threads);

@@ -2,10 +2,12 @@
 
 use super::observation::{Observation, Value};
 use candle_core::{Device, Result, Tensor};
-use harness_ops::frames::SampleFrames;
+use harness_ops::frames::{Images, SampleFrames};
+use harness_ops::{Values, input};
 use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{Action, Modality};
-use std::sync::Arc;
+use std::collections::{BTreeMap, btree_map::Entry};
+use std::sync::{Arc, Mutex};
 
 /// A dataset, normalized for a network.
 #[derive(Clone)]
@@ -18,31 +20,72 @@ pub struct NormalizedData {
     pub action: Action,
     /// The device on which tensors are created.
     pub device: Device,
+    /// The normalized vectors of all samples and, without a modality, the actions after all but the last, `[samples,
+    /// width]`. They are on a GPU, to which they are copied once.
+    tables: Arc<Mutex<BTreeMap<Option<Modality>, Tensor>>>,
+    /// The images of all samples, on a GPU.
+    images: Images,
 }
 
 impl NormalizedData {
+    /// Normalizes `samples`, whose `action` the network gets, for a network on `device`.
+    pub fn new(samples: Arc<Samples>, normalizers: Arc<Normalizers>, action: Action, device: Device) -> Self {
+        Self { samples, normalizers, action, device, tables: Arc::default(), images: Images::default() }
+    }
+
+    /// Returns the same data for a network on another device.
+    pub fn on(&self, device: Device) -> Self {
+        Self::new(self.samples.clone(), self.normalizers.clone(), self.action, device)
+    }
+
     /// Returns the normalized values of `modalities` at the samples `at`.
     ///
     /// # Errors
     /// When a tensor can't be created on the device.
     pub fn observation(&self, at: &[Sample], modalities: &[Modality]) -> Result<Observation> {
         let value = |&modality: &Modality| {
-            let value = match SampleFrames::new(&self.samples, &self.normalizers, at, modality) {
+            let images = (!self.device.is_cpu()).then_some(&self.images);
+            let value = match SampleFrames::new(&self.samples, &self.normalizers, at, modality, images) {
                 Some(frames) => Value::Frames(Arc::new(frames)),
-                None => {
-                    let values = self.normalizers.vectors(&self.samples, at, &[modality]);
-                    Value::Vector(self.table(values, at.len())?)
-                }
+                None => Value::Vector(self.vectors(at, modality)?),
             };
             Ok((modality, value))
         };
         modalities.iter().map(value).collect()
     }
 
+    /// Returns the normalized values of a vector, `[batch, width]`.
+    fn vectors(&self, at: &[Sample], modality: Modality) -> Result<Tensor> {
+        if self.device.is_cpu() {
+            return self.matrix(self.normalizers.vectors(&self.samples, at, &[modality]), at.len());
+        }
+        self.rows(at, Some(modality), || {
+            let mut values = self.samples.vectors(modality).to_vec();
+            self.normalizers.modalities[&modality].normalize(&mut values);
+            self.matrix(values, self.samples.len())
+        })
+    }
+
+    /// Returns rows of a table, which is made if there is none: that of a vector, or of the actions.
+    fn rows(
+        &self,
+        at: &[Sample],
+        table: Option<Modality>,
+        make: impl FnOnce() -> Result<Tensor>,
+    ) -> Result<Tensor> {
+        let mut tables = self.tables.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let table = match tables.entry(table) {
+            Entry::Occupied(table) => table.into_mut(),
+            Entry::Vacant(place) => place.insert(make()?),
+        };
+        let indices = Values::U32(indices(at));
+        table.index_select(&input(indices, at.len(), &self.device)?, 0)
+    }
+
     /// Returns `values` as a matrix of `rows` rows.
-    fn table(&self, values: Vec<f32>, rows: usize) -> Result<Tensor> {
+    fn matrix(&self, values: Vec<f32>, rows: usize) -> Result<Tensor> {
         let columns = values.len() / rows;
-        Tensor::from_vec(values, (rows, columns), &Device::Cpu)?.to_device(&self.device)
+        Tensor::from_vec(values, (rows, columns), &self.device)
     }
 
     /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
@@ -50,6 +93,16 @@ impl NormalizedData {
     /// # Errors
     /// When a tensor can't be created on the device.
     pub fn actions(&self, at: &[Sample]) -> Result<Tensor> {
-        self.table(self.normalizers.actions(&self.samples, at, self.action), at.len())
+        let actions =
+            |at: &[Sample]| self.matrix(self.normalizers.actions(&self.samples, at, self.action), at.len());
+        if self.device.is_cpu() {
+            return actions(at);
+        }
+        self.rows(at, None, || actions(&(0..self.samples.len() - 1).map(Sample::at).collect::<Vec<_>>()))
     }
+}
+
+/// Returns the positions of samples.
+pub(crate) fn indices(at: &[Sample]) -> Vec<u32> {
+    at.iter().map(|sample| sample.index() as u32).collect()
 }

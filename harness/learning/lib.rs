@@ -10,6 +10,7 @@ pub mod onnx;
 pub mod predict;
 pub mod random;
 pub mod state;
+mod steps;
 pub mod tensors;
 pub mod training;
 
@@ -47,8 +48,7 @@ pub fn open_device(device: Device) -> Result<candle_core::Device, LearningError>
             "this harness was built without CUDA; build it with `cargo build --features cuda`, or use cpu";
         return Err(LearningError::Device { device, reason: reason.into() });
     }
-    candle_core::Device::new_cuda(0)
-        .map_err(|error| LearningError::Device { device, reason: first_line(&error) })
+    harness_ops::open_gpu().map_err(|error| LearningError::Device { device, reason: first_line(&error) })
 }
 
 /// An error that ends a training, or the loading of a trained network.
@@ -92,9 +92,25 @@ pub enum LearningError {
         /// Why it can't be used.
         reason: String,
     },
+    /// The GPU has too little free memory.
+    #[error(
+        "the GPU has too little free memory; end other programs on it, reduce training.batch_size or the network, or \
+         set training.device: cpu"
+    )]
+    GpuMemory,
     /// A tensor operation failed.
     #[error("candle: {}", first_line(.0))]
-    Candle(#[from] candle_core::Error),
+    Candle(candle_core::Error),
+}
+
+impl From<candle_core::Error> for LearningError {
+    fn from(error: candle_core::Error) -> Self {
+        let text = error.to_string();
+        // Those of the driver and of cuBLAS.
+        let is_of_memory =
+            ["CUDA_ERROR_OUT_OF_MEMORY", "CUBLAS_STATUS_ALLOC_FAILED"].iter().any(|name| text.contains(name));
+        if is_of_memory { Self::GpuMemory } else { Self::Candle(error) }
+    }
 }
 
 /// Returns the first line of an error. candle appends a backtrace below it if backtraces are enabled.

@@ -1,6 +1,6 @@
 //! Training objectives: the loss terms of a batch of windows.
 
-use super::data::NormalizedData;
+use super::data::{NormalizedData, indices};
 use super::network::{Decoder, Draw, Network, Seen, State, Targets, Term, context};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
@@ -29,6 +29,15 @@ pub trait Objective {
     /// # Errors
     /// When a tensor operation fails.
     fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>>;
+
+    /// Returns the lists of rows that the terms over these windows take from data on a GPU, in any order. None if they
+    /// are not known before.
+    ///
+    /// # Errors
+    /// When the data lack a sample.
+    fn indices(&self, _at: &[Sample]) -> Result<Vec<Vec<u32>>> {
+        Ok(Vec::new())
+    }
 
     /// Returns the number of consecutive samples that the network sees of each window.
     fn context(&self) -> usize {
@@ -82,15 +91,19 @@ impl Objective for Prediction<'_> {
                 state = state.rows(&rows)?;
                 seen = rows.iter().map(|row| seen[*row as usize]).collect();
             }
-            let from = |first: usize| -> Vec<Sample> {
-                (first..first + further).flat_map(|distance| after(&seen, distance)).collect()
-            };
-            let state = network.imagine(&state, &data.actions(&from(1))?)?;
-            joined(next, losses(&state, &from(2), further)?)?
+            let state = network.imagine(&state, &data.actions(&later(&seen, 1, further))?)?;
+            joined(next, losses(&state, &later(&seen, 2, further), further)?)?
         };
         let mut terms = weighted(means(terms, training.discount)?, &training.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });
         Ok(terms)
+    }
+
+    fn indices(&self, at: &[Sample]) -> Result<Vec<Vec<u32>>> {
+        let (burned, seen) = (times(at, self.trained()..self.context()), times(at, 0..self.trained()));
+        let further = self.window.horizon - 1;
+        let taken = [burned, after(&seen, 1), later(&seen, 1, further), later(&seen, 2, further), seen];
+        Ok(taken.iter().map(|at| indices(at)).collect())
     }
 
     fn context(&self) -> usize {
@@ -111,6 +124,12 @@ impl Objective for Prediction<'_> {
 /// together, and the first time comes first.
 fn times(at: &[Sample], distances: Range<usize>) -> Vec<Sample> {
     distances.rev().flat_map(|distance| before(at, distance)).collect()
+}
+
+/// Returns the samples at `count` distances after those in `at`, the first of which is `first`. Those at one distance lie
+/// together.
+fn later(at: &[Sample], first: usize, count: usize) -> Vec<Sample> {
+    (first..first + count).flat_map(|distance| after(at, distance)).collect()
 }
 
 impl Prediction<'_> {
@@ -216,6 +235,10 @@ impl Objective for Reconstruction<'_> {
         let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
         let terms = means(self.decoder.losses(&self.latents.rows(at)?, None, targets)?, 1.0)?;
         Ok(weighted(terms, &BTreeMap::new()))
+    }
+
+    fn indices(&self, at: &[Sample]) -> Result<Vec<Vec<u32>>> {
+        Ok(vec![indices(at), self.latents.indices(at)?])
     }
 
     fn detached(&self) -> Box<dyn Objective + '_> {

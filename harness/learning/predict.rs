@@ -5,6 +5,7 @@ use super::data::NormalizedData;
 use super::network::{Decoded, Decoder, Draw, Network, State, context};
 use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
+use harness_ops::{Values, input};
 use harness_samples::{Normalizers, Sample, Samples, after};
 use harness_spec::{Modality, Window, WindowStart};
 use std::collections::BTreeSet;
@@ -139,17 +140,25 @@ impl Latents {
         Ok(Self { at, values })
     }
 
+    /// Returns the rows of these samples' latent states.
+    ///
+    /// # Errors
+    /// When the dataset has no such sample.
+    pub(crate) fn indices(&self, at: &[Sample]) -> Result<Vec<u32>> {
+        at.iter()
+            .map(|sample| match self.at.binary_search(sample) {
+                Ok(row) => Ok(row as u32),
+                Err(_) => candle_core::bail!("sample {} has no latent state", sample.index()),
+            })
+            .collect()
+    }
+
     /// Returns the latent states at these samples, `[at, latent]`.
     ///
     /// # Errors
     /// When the dataset has no such sample.
     pub fn rows(&self, at: &[Sample]) -> Result<Tensor> {
-        let row = |sample: &Sample| match self.at.binary_search(sample) {
-            Ok(row) => Ok(row as u32),
-            Err(_) => candle_core::bail!("sample {} has no latent state", sample.index()),
-        };
-        let rows = at.iter().map(row).collect::<Result<Vec<_>>>()?;
-        self.values.index_select(&Tensor::new(rows, self.values.device())?, 0)
+        self.values.index_select(&input(Values::U32(self.indices(at)?), at.len(), self.values.device())?, 0)
     }
 }
 

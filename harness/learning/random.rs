@@ -21,6 +21,7 @@ pub enum Stream {
 }
 
 /// A generator for one purpose of a run. Its numbers depend only on the seed and the stream.
+#[derive(Clone)]
 pub struct Random(ChaCha8Rng);
 
 impl Random {

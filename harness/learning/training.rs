@@ -1,10 +1,11 @@
 //! The training loop: epochs of Adam steps, validation, early stopping, and saved states.
 
 use super::LearningError;
-use super::network::{Draw, Parameters, scalar};
-use super::objective::{Objective, Weighted};
+use super::network::{Draw, Parameters};
+use super::objective::Objective;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
+use super::steps::{StepLosses, Steps};
 use candle_core::{Result as CandleResult, Tensor};
 use harness_ops::Adam;
 use harness_samples::{Partition, sequences};
@@ -66,6 +67,7 @@ impl Fit<'_> {
             .with_weight_decay(self.training.weight_decay)
             .with_clip_norm(self.training.clip_norm);
         let mut state = self.state.resume(parameters, &mut adam, self.progress)?.unwrap_or_default();
+        let mut steps = Steps::new(objective, adam, self.training.dropout);
         let stage = match self.task {
             Task::Prediction => "prediction",
             Task::Reconstruction => "reconstruction",
@@ -75,7 +77,7 @@ impl Fit<'_> {
         self.progress.resume(state.epochs().len() as u64);
         (self.log)(state.epochs());
         while !self.finished(&state) {
-            let epoch = match self.epoch(objective, &mut adam, state.epochs().len()) {
+            let epoch = match self.epoch(&mut steps, state.epochs().len()) {
                 Err(LearningError::Cancelled) => {
                     self.state.save_kept(&state)?;
                     return Err(LearningError::Cancelled);
@@ -86,7 +88,7 @@ impl Fit<'_> {
             (self.log)(state.epochs());
             self.progress.note(&describe(&state));
             self.progress.advance(1);
-            self.state.save_now_and_then(&state, parameters, &adam)?;
+            self.state.save_now_and_then(&state, parameters, &steps.adam)?;
         }
         // The work after this training may be interrupted too.
         self.state.save_kept(&state)?;
@@ -107,35 +109,26 @@ impl Fit<'_> {
             || self.training.patience.is_some_and(|patience| done >= improved + patience)
     }
 
-    fn epoch(
-        &self,
-        objective: &dyn Objective,
-        adam: &mut Adam,
-        index: usize,
-    ) -> Result<Epoch, LearningError> {
-        let begin = Instant::now();
+    fn epoch(&self, steps: &mut Steps, index: usize) -> Result<Epoch, LearningError> {
+        let (begin, objective) = (Instant::now(), steps.objective);
         let mut random = Random::new(self.seed, Stream::Epoch { task: self.task, index });
         let mut order = sequences(&self.partition.training, objective.context(), |most| random.up_to(most));
         random.shuffle(&mut order);
         let mut train = Sums::default();
         let batch = self.windows_per_step(objective);
         let epoch_steps = order.len().div_ceil(batch);
-        for (step, at) in order.chunks(batch).enumerate() {
+        for (index, at) in order.chunks(batch).enumerate() {
             if self.progress.cancelled() {
                 return Err(LearningError::Cancelled);
             }
-            let draw = Draw::Sample { random: &mut random, dropout: self.training.dropout };
-            let terms = objective.terms(at, draw)?;
-            let total = total(&terms)?;
-            train.add(&terms, &total, at.len())?;
-            adam.set_learning_rate(learning_rate(self.training, epoch_steps, adam.steps()));
-            adam.step(&total.backward()?)?;
-            self.progress.part(step as u64 + 1, epoch_steps as u64);
+            steps.adam.set_learning_rate(learning_rate(self.training, epoch_steps, steps.adam.steps()));
+            train.add(steps.take(at, &mut random)?, at.len())?;
+            self.progress.part(index as u64 + 1, epoch_steps as u64);
         }
         let validation = self.validate(objective)?;
         let epoch = Epoch {
             epoch: index + 1,
-            train: train.means(),
+            train: train.means()?,
             validation,
             seconds: begin.elapsed().as_secs_f64(),
         };
@@ -165,25 +158,11 @@ impl Fit<'_> {
         let mut sums = Sums::default();
         let windows = sequences(&self.partition.validation, objective.context(), |most| most / 2);
         for at in windows.chunks(self.windows_per_step(&*objective)) {
-            let terms = objective.terms(at, Draw::Mean)?;
-            sums.add(&terms, &total(&terms)?, at.len())?;
+            let losses = StepLosses::of(&objective.terms(at, Draw::Mean)?)?.0;
+            sums.add(losses, at.len())?;
         }
-        Ok(sums.means())
+        sums.means()
     }
-}
-
-/// Returns the weighted sum of the terms, a scalar.
-fn total(terms: &[Weighted]) -> CandleResult<Tensor> {
-    let mut total: Option<Tensor> = None;
-    for term in terms {
-        // A multiplication by 1 would only add work to the backward pass.
-        let value = if term.weight == 1.0 { term.value.clone() } else { (&term.value * term.weight)? };
-        total = Some(match total {
-            Some(total) => (total + value)?,
-            None => value,
-        });
-    }
-    total.ok_or_else(|| candle_core::Error::Msg("a loss without terms".into()))
 }
 
 /// Sums of a loss's terms over batches, weighted by the number of samples in each batch.
@@ -191,20 +170,37 @@ fn total(terms: &[Weighted]) -> CandleResult<Tensor> {
 struct Sums {
     samples: f64,
     sums: Losses,
+    /// The losses of the last batches, with the numbers of their samples. Reading one from a GPU waits for all work
+    /// before it, so many are read at once.
+    unread: Vec<(StepLosses, f64)>,
 }
 
+/// The number of batches whose losses are read at once.
+const READ: usize = 256;
+
 impl Sums {
-    fn add(&mut self, terms: &[Weighted], total: &Tensor, samples: usize) -> CandleResult<()> {
+    fn add(&mut self, losses: StepLosses, samples: usize) -> CandleResult<()> {
         self.samples += samples as f64;
-        let named = terms.iter().map(|term| (term.name.as_str(), &term.value)).chain([(TOTAL, total)]);
-        for (name, value) in named {
-            *self.sums.entry(name.to_owned()).or_default() += scalar(value)? * samples as f64;
+        self.unread.push((losses, samples as f64));
+        if self.unread.len() < READ { Ok(()) } else { self.read() }
+    }
+
+    fn read(&mut self) -> CandleResult<()> {
+        let unread = std::mem::take(&mut self.unread);
+        let values: Vec<&Tensor> = unread.iter().map(|(losses, _)| &losses.values).collect();
+        let Some((first, _)) = unread.first() else { return Ok(()) };
+        let values = Tensor::stack(&values, 0)?.to_vec2::<f32>()?;
+        for (values, (_, samples)) in values.iter().zip(&unread) {
+            for (name, value) in first.names.iter().zip(values) {
+                *self.sums.entry(name.clone()).or_default() += f64::from(*value) * samples;
+            }
         }
         Ok(())
     }
 
-    fn means(self) -> Losses {
-        self.sums.into_iter().map(|(name, sum)| (name, sum / self.samples)).collect()
+    fn means(mut self) -> CandleResult<Losses> {
+        self.read()?;
+        Ok(self.sums.into_iter().map(|(name, sum)| (name, sum / self.samples)).collect())
     }
 }
 

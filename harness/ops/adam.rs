@@ -1,7 +1,7 @@
 //! Adam as one pass over a parameter and its moments, in place. The pass includes weight decay and the scaling of
 //! clipped gradients. Clipping reads the gradients once more before, to compute their norm.
 
-use super::{slice, with_values};
+use super::{Values, slice, with_values};
 use candle_core::backprop::GradStore;
 use candle_core::{CpuStorage, Device, InplaceOp2, Layout, Result, Tensor, Var};
 use harness_kernels::adam::{AdamStep, adam, sum_of_squares};
@@ -31,7 +31,7 @@ struct Slot {
 enum Moments {
     /// Updated in place.
     Cpu { mean: Vec<f32>, square: Vec<f32> },
-    /// Replaced in each step by candle's tensor operations.
+    /// On a GPU, and updated in place.
     Device { mean: Tensor, square: Tensor },
 }
 
@@ -105,18 +105,22 @@ impl Adam {
     /// When a gradient has another shape.
     pub fn step(&mut self, gradients: &GradStore) -> Result<()> {
         self.steps += 1;
-        let correction = |beta: f64| (1.0 / (1.0 - beta.powf(self.steps as f64))) as f32;
-        let decayed = (1.0 - self.learning_rate * self.weight_decay) as f32;
+        #[cfg(feature = "cuda")]
+        if self.slots.first().is_some_and(|slot| slot.parameter.device().is_cuda()) {
+            return self.step_on_gpu(gradients);
+        }
+        let [learning_rate, mean_correction, square_correction, decayed] = self.factors();
         let step = AdamStep {
-            gradient_scale: self.gradient_scale(gradients)? as f32,
+            gradient_scale: 1.0,
             kept: 1.0,
-            learning_rate: self.learning_rate as f32,
+            learning_rate,
             beta_mean: BETA_MEAN as f32,
             beta_square: BETA_SQUARE as f32,
             epsilon: EPSILON as f32,
-            mean_correction: correction(BETA_MEAN),
-            square_correction: correction(BETA_SQUARE),
+            mean_correction,
+            square_correction,
         };
+        let step = AdamStep { gradient_scale: self.gradient_scale(gradients)? as f32, ..step };
         for slot in &mut self.slots {
             if let Some(grad) = gradients.get(&slot.parameter) {
                 let kept = if slot.parameter.rank() > 1 { decayed } else { 1.0 };
@@ -124,6 +128,59 @@ impl Adam {
             }
         }
         Ok(())
+    }
+
+    /// Returns what differs from step to step: the learning rate, the corrections of both moments, and the share of
+    /// decaying parameters that remains.
+    fn factors(&self) -> [f32; 4] {
+        let correction = |beta: f64| (1.0 / (1.0 - beta.powf(self.steps as f64))) as f32;
+        let decayed = (1.0 - self.learning_rate * self.weight_decay) as f32;
+        [self.learning_rate as f32, correction(BETA_MEAN), correction(BETA_SQUARE), decayed]
+    }
+
+    /// Returns the GPU on which the parameters are, if they are on one.
+    pub fn gpu(&self) -> Option<Device> {
+        let device = self.slots.first()?.parameter.device();
+        device.is_cuda().then(|| device.clone())
+    }
+
+    /// Counts one more step, which is taken elsewhere with the returned values.
+    pub fn count(&mut self) -> Values {
+        self.steps += 1;
+        self.input()
+    }
+
+    /// Returns the values that the last step took from the host, on a GPU.
+    pub fn input(&self) -> Values {
+        Values::F32(self.factors().to_vec())
+    }
+
+    /// Sets the number of steps taken so far.
+    pub fn set_steps(&mut self, steps: u64) {
+        self.steps = steps;
+    }
+
+    #[cfg(feature = "cuda")]
+    fn step_on_gpu(&self, gradients: &GradStore) -> Result<()> {
+        let mut slots = Vec::with_capacity(self.slots.len());
+        for Slot { parameter, moments } in &self.slots {
+            if let (Some(grad), Moments::Device { mean, square }) = (gradients.get(parameter), moments) {
+                let (parameter, grad) = (parameter.as_tensor(), grad.contiguous()?);
+                slots.push(crate::cuda::Slot { parameter, grad, mean, square });
+            }
+        }
+        let Some(first) = slots.first() else { return Ok(()) };
+        let scale = match self.clip_norm {
+            None => Tensor::ones((), candle_core::DType::F32, first.parameter.device())?,
+            Some(clip_norm) => {
+                let squares = slots.iter().map(|slot| slot.grad.sqr()?.sum_all());
+                let norm = Tensor::stack(&squares.collect::<Result<Vec<_>>>()?, 0)?.sum_all()?.sqrt()?;
+                (norm.recip()? * clip_norm)?.minimum(1.0)?
+            }
+        };
+        let factors = crate::input(self.input(), 4, first.parameter.device())?;
+        let constants = [BETA_MEAN, BETA_SQUARE, EPSILON].map(|constant| constant as f32);
+        crate::cuda::adam(constants, &factors, &slots, &scale)
     }
 
     /// Returns the factor by which clipping scales the gradients.
@@ -136,10 +193,7 @@ impl Adam {
 }
 
 fn squared_norm(gradient: &Tensor) -> Result<f64> {
-    if gradient.device().is_cpu() {
-        return with_values(gradient, |values| Ok(sum_of_squares(values)));
-    }
-    Ok(f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?))
+    with_values(gradient, |values| Ok(sum_of_squares(values)))
 }
 
 impl Moments {
@@ -148,14 +202,14 @@ impl Moments {
             let values = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
             return Ok(Self::Cpu { mean: values(mean)?, square: values(square)? });
         }
-        Ok(Self::Device { mean: mean.clone(), square: square.clone() })
+        Ok(Self::Device { mean: mean.copy()?, square: square.copy()? })
     }
 
     fn tensors(&self, parameter: &Var) -> Result<(Tensor, Tensor)> {
         let tensor = |values: &[f32]| Tensor::from_slice(values, parameter.shape(), &Device::Cpu);
         match self {
             Self::Cpu { mean, square } => Ok((tensor(mean)?, tensor(square)?)),
-            Self::Device { mean, square } => Ok((mean.clone(), square.clone())),
+            Self::Device { mean, square } => Ok((mean.copy()?, square.copy()?)),
         }
     }
 
@@ -163,17 +217,7 @@ impl Moments {
         match self {
             Self::Cpu { mean, square } => parameter
                 .inplace_op2(&grad.contiguous()?, &AdamOp { step, moments: Mutex::new((mean, square)) }),
-            Self::Device { mean, square } => {
-                let (keep_mean, keep_square) = (f64::from(step.beta_mean), f64::from(step.beta_square));
-                let grad = (grad * f64::from(step.gradient_scale))?;
-                *mean = ((&*mean * keep_mean)? + (&grad * (1.0 - keep_mean))?)?;
-                *square = ((&*square * keep_square)? + (grad.sqr()? * (1.0 - keep_square))?)?;
-                let spread = (&*square * f64::from(step.square_correction))?.sqrt()?;
-                let change = (&*mean * f64::from(step.learning_rate * step.mean_correction))?;
-                let change = change.div(&(spread + f64::from(step.epsilon))?)?;
-                let kept = (parameter.as_tensor().detach() * f64::from(step.kept))?;
-                parameter.set(&kept.sub(&change)?)
-            }
+            Self::Device { .. } => candle_core::bail!("this program was built without CUDA"),
         }
     }
 }

@@ -24,6 +24,17 @@ impl Dropout {
         (1.0 / (1.0 - f64::from(self.left_out) / 65536.0)) as f32
     }
 
+    /// Returns the number of values that are set to zero on average, of 65,536.
+    pub fn left_out(&self) -> u16 {
+        self.left_out
+    }
+
+    /// Returns the key of the random generator, as words of 32 bits.
+    pub fn key(&self) -> Vec<u32> {
+        let bytes = ChaCha8Rng::seed_from_u64(self.seed).get_seed();
+        bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect()
+    }
+
     /// Sets some values of sample `sample` of the batch to zero, and scales the others.
     pub fn apply(&self, sample: usize, values: &mut [f32]) {
         let (scale, mut random) = (self.scale(), ChaCha8Rng::seed_from_u64(self.seed));

@@ -32,29 +32,12 @@ pub fn frame_encoder(
     arithmetic: Arithmetic,
     dropout: Option<Dropout>,
 ) -> Result<Tensor> {
-    let device = packed.device();
-    if device.is_cpu() {
-        let op = FrameEncoder { frames, stack: stack.clone(), arithmetic, dropout, active: OnceLock::new() };
-        return packed.apply_op2(&weight.contiguous()?, op);
+    #[cfg(feature = "cuda")]
+    if packed.device().is_cuda() {
+        return crate::cuda::frame_encoder(frames, stack, packed, weight, arithmetic, dropout);
     }
-    let mut active = frames.tensor(device)?;
-    let mut first = 0;
-    for sizes in stack.layers() {
-        let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
-        let kernel = packed.narrow(0, first, sizes.kernel_len())?.reshape((coarse, fine, 4, 4))?;
-        first += sizes.kernel_len();
-        let bias = packed.narrow(0, first, coarse)?.reshape((1, coarse, 1, 1))?;
-        first += coarse;
-        active = active.conv2d(&kernel, 1, 2, 1, 1)?.broadcast_add(&bias)?.relu()?;
-    }
-    let mut active = active.flatten_from(1)?;
-    if let Some(dropout) = dropout {
-        let (batch, len) = active.dims2()?;
-        let mut mask = vec![1.0; batch * len];
-        mask.chunks_exact_mut(len).enumerate().for_each(|(image, mask)| dropout.apply(image, mask));
-        active = (active * tensor(mask, (batch, len))?.to_device(device)?)?;
-    }
-    active.matmul(&weight.t()?)
+    let op = FrameEncoder { frames, stack: stack.clone(), arithmetic, dropout, active: OnceLock::new() };
+    packed.apply_op2(&weight.contiguous()?, op)
 }
 
 struct FrameEncoder {

@@ -40,30 +40,6 @@ impl FrameDecoder {
         product(hidden, weight, &mut coarse, Accumulate::Overwrite, self.arithmetic, threads());
         Ok(coarse)
     }
-
-    /// Computes the same as [`frame_decoder`] with candle's operations.
-    fn compose(&self, hidden: &Tensor) -> Result<Tensor> {
-        let layers = self.stack.layers();
-        let mut parameters = Vec::new();
-        let mut first = 0;
-        for sizes in layers {
-            let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
-            let kernel = self.packed.narrow(0, first, sizes.kernel_len())?.reshape((coarse, fine, 4, 4))?;
-            first += sizes.kernel_len();
-            parameters.push((kernel, self.packed.narrow(0, first, fine)?.reshape((1, fine, 1, 1))?));
-            first += fine;
-        }
-        let (last, len) = (&layers[layers.len() - 1], self.stack.coarse_len());
-        let (channels, [rows, columns]) = (last.coarse_channels, last.coarse_size());
-        let mut image = hidden
-            .matmul(&self.weight.t()?)?
-            .broadcast_add(&self.packed.narrow(0, first, len)?)?
-            .reshape((hidden.dim(0)?, channels, rows, columns))?;
-        for (kernel, bias) in parameters.iter().rev() {
-            image = image.relu()?.conv_transpose2d(kernel, 1, 0, 2, 1)?.broadcast_add(bias)?;
-        }
-        Ok(image)
-    }
 }
 
 /// Decodes frames from `hidden` `[batch, hidden]`, and returns their mean squared error against `target` over all
@@ -72,9 +48,9 @@ impl FrameDecoder {
 /// # Errors
 /// When a tensor has another shape.
 pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
-    if !hidden.device().is_cpu() {
-        let predicted = decoder.compose(hidden)?;
-        return (predicted - target.tensor(hidden.device())?)?.sqr()?.mean_all();
+    #[cfg(feature = "cuda")]
+    if hidden.device().is_cuda() {
+        return crate::cuda::frame_loss(hidden, decoder, target);
     }
     let (weight, packed) = (decoder.weight.contiguous()?, decoder.packed.clone());
     let trained = [hidden, &weight, &packed].iter().any(|tensor| tensor.track_op());
@@ -82,14 +58,15 @@ pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames
     hidden.contiguous()?.apply_op3(&weight, &packed, op)
 }
 
-/// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, rows, columns]`. On the CPU the
-/// result has no gradient.
+/// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, rows, columns]`. The result
+/// has no gradient.
 ///
 /// # Errors
 /// When a tensor has another shape.
 pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
-    if !hidden.device().is_cpu() {
-        return decoder.compose(hidden);
+    #[cfg(feature = "cuda")]
+    if hidden.device().is_cuda() {
+        return crate::cuda::frame_decoder(hidden, decoder);
     }
     let mut coarse =
         with_values(hidden, |hidden| with_values(&decoder.weight, |weight| decoder.coarse(hidden, weight)))?;

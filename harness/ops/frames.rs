@@ -6,7 +6,11 @@
 use candle_core::{Device, Result, Tensor};
 use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{IMAGE_CHANNELS, Modality};
-use std::sync::Arc;
+#[cfg(feature = "cuda")]
+use std::collections::{BTreeMap, btree_map::Entry};
+#[cfg(feature = "cuda")]
+use std::sync::Mutex;
+use std::sync::{Arc, OnceLock};
 
 /// A batch of normalized frames, `[channels, rows, columns]` each.
 pub trait Frames: Send + Sync {
@@ -29,14 +33,17 @@ pub trait Frames: Send + Sync {
     ///
     /// # Errors
     /// When the tensor can't be created on the device.
-    fn tensor(&self, device: &Device) -> Result<Tensor> {
-        let mut values = vec![0.0; self.batch() * self.frame_len()];
-        for (index, frame) in values.chunks_exact_mut(self.frame_len()).enumerate() {
-            self.write(index, frame);
-        }
-        let [rows, columns] = self.size();
-        Tensor::from_vec(values, (self.batch(), self.channels(), rows, columns), device)
+    fn tensor(&self, device: &Device) -> Result<Tensor>;
+}
+
+/// Writes all frames of a batch to a tensor `[batch, channels, rows, columns]`.
+fn dense(frames: &(impl Frames + ?Sized), device: &Device) -> Result<Tensor> {
+    let mut values = vec![0.0; frames.batch() * frames.frame_len()];
+    for (index, frame) in values.chunks_exact_mut(frames.frame_len()).enumerate() {
+        frames.write(index, frame);
     }
+    let [rows, columns] = frames.size();
+    Tensor::from_vec(values, (frames.batch(), frames.channels(), rows, columns), device)
 }
 
 /// Frames that are in memory as `f32`, `[batch, channels, rows, columns]`.
@@ -44,6 +51,8 @@ pub struct DenseFrames {
     values: Vec<f32>,
     channels: usize,
     size: [usize; 2],
+    /// The same values on the device that first asked for them.
+    copied: OnceLock<Tensor>,
 }
 
 impl DenseFrames {
@@ -58,7 +67,7 @@ impl DenseFrames {
 
     /// Takes values `[batch, channels, rows, columns]`. The size is that of a frame, its rows and columns.
     pub fn from_values(values: Vec<f32>, channels: usize, size: [usize; 2]) -> Self {
-        Self { values, channels, size }
+        Self { values, channels, size, copied: OnceLock::new() }
     }
 }
 
@@ -74,6 +83,18 @@ impl Frames for DenseFrames {
     }
     fn write(&self, index: usize, frame: &mut [f32]) {
         frame.copy_from_slice(&self.values[index * self.frame_len()..][..self.frame_len()]);
+    }
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        let [rows, columns] = self.size;
+        let shape = (self.batch(), self.channels, rows, columns);
+        if let Some(copied) = self.copied.get()
+            && copied.device().same_device(device)
+        {
+            return Ok(copied.clone());
+        }
+        let copied = Tensor::from_slice(&self.values, shape, device)?;
+        self.copied.get_or_init(|| copied.clone());
+        Ok(copied)
     }
 }
 
@@ -101,6 +122,9 @@ impl Frames for Averaged {
     }
     fn size(&self) -> [usize; 2] {
         self.frames.size().map(|side| side / self.by)
+    }
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        self.frames.tensor(device)?.avg_pool2d(self.by)
     }
     fn write(&self, index: usize, frame: &mut [f32]) {
         let mut whole = vec![0.0; self.frames.frame_len()];
@@ -145,6 +169,9 @@ impl Frames for Part {
     fn write(&self, index: usize, frame: &mut [f32]) {
         self.frames.write(self.first + index, frame);
     }
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        self.frames.tensor(device)?.narrow(0, self.first, self.batch)
+    }
 }
 
 /// Several images of the same size, stacked by channel.
@@ -168,6 +195,10 @@ impl Frames for Stacked {
     fn size(&self) -> [usize; 2] {
         self.0[0].size()
     }
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        let images = self.0.iter().map(|image| image.tensor(device)).collect::<Result<Vec<_>>>()?;
+        Tensor::cat(&images, 1)
+    }
     fn write(&self, index: usize, frame: &mut [f32]) {
         let mut rest = frame;
         for image in &self.0 {
@@ -178,6 +209,10 @@ impl Frames for Stacked {
     }
 }
 
+/// The images of a dataset on a GPU by modality, to which each is copied once; `None` for one that does not fit.
+#[derive(Clone, Default)]
+pub struct Images(#[cfg(feature = "cuda")] Arc<Mutex<BTreeMap<Modality, Option<crate::cuda::FrameTable>>>>);
+
 /// Normalized frames of chosen samples, computed one at a time.
 pub struct SampleFrames {
     samples: Arc<Samples>,
@@ -185,24 +220,65 @@ pub struct SampleFrames {
     modality: Modality,
     size: [usize; 2],
     at: Vec<Sample>,
+    #[cfg(feature = "cuda")]
+    images: Images,
 }
 
 impl SampleFrames {
-    /// Returns the frames of an image at the samples `at`; `None` for a vector.
+    /// Returns the frames of an image at the samples `at`; `None` for a vector. `images` are those of `samples`, for a
+    /// network on a GPU.
     pub fn new(
         samples: &Arc<Samples>,
         normalizers: &Arc<Normalizers>,
         at: &[Sample],
         modality: Modality,
+        images: Option<&Images>,
     ) -> Option<Self> {
         let size = samples.layout()[modality].size()?;
-        samples.prefetch(modality, at);
+        if images.is_none() {
+            samples.prefetch(modality, at);
+        }
         let (samples, normalizers) = (samples.clone(), normalizers.clone());
-        Some(Self { samples, normalizers, modality, size, at: at.to_vec() })
+        Some(Self {
+            samples,
+            normalizers,
+            modality,
+            size,
+            at: at.to_vec(),
+            #[cfg(feature = "cuda")]
+            images: images.cloned().unwrap_or_default(),
+        })
+    }
+
+    /// Returns the batch by the copy of all images on a GPU; `None` if they do not fit there.
+    #[cfg(feature = "cuda")]
+    fn gathered(&self, device: &Device) -> Result<Option<Tensor>> {
+        let mut images = self.images.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let table = match images.entry(self.modality) {
+            Entry::Occupied(table) => table.into_mut(),
+            Entry::Vacant(place) => {
+                let scale = &self.normalizers.modalities[&self.modality];
+                place.insert(crate::cuda::FrameTable::new(&self.samples, self.modality, scale, device)?)
+            }
+        };
+        let rows = self.at.iter().map(|sample| sample.index() as u32).collect();
+        let frames = table.as_ref().map(|table| crate::cuda::gather(table, rows, device));
+        let [height, width] = self.size;
+        frames.map(|frames| frames?.reshape((self.at.len(), IMAGE_CHANNELS, height, width))).transpose()
     }
 }
 
 impl Frames for SampleFrames {
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        #[cfg(feature = "cuda")]
+        if device.is_cuda()
+            && let Some(frames) = self.gathered(device)?
+        {
+            return Ok(frames);
+        }
+        dense(self, device)
+    }
+
     fn batch(&self) -> usize {
         self.at.len()
     }

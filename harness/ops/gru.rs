@@ -6,9 +6,8 @@
 //! each thread takes its sequences through all of them, so that threads do not wait for each other at each step.
 
 use super::linear::weight_gradient;
-use super::{Arithmetic, linear, slice, tensor, threads, with_values};
+use super::{Arithmetic, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use candle_nn::ops::sigmoid;
 use harness_kernels::product::{Accumulate, Matrix, product};
 use harness_kernels::repeated::Repeated;
 use harness_kernels::{self as kernels, Buffer, exp, simd};
@@ -51,30 +50,14 @@ pub fn gru(
             "the inputs, the weights and biases of input and state, and the start have the shapes {shapes:?}"
         );
     }
-    if start.device().is_cpu() {
-        // candle gives an op at most three arguments, so the parameters are passed as one tensor.
-        let flat = [&input.weight.flatten_all()?, input.bias, &hidden.weight.flatten_all()?, hidden.bias];
-        let op = Gru { sizes: Sizes { batch, columns, width, arithmetic }, products: OnceLock::new() };
-        return inputs.contiguous()?.apply_op3(&Tensor::cat(&flat, 0)?, &start.contiguous()?, op);
+    #[cfg(feature = "cuda")]
+    if start.device().is_cuda() {
+        return crate::cuda::gru(inputs, input, hidden, start, arithmetic);
     }
-    let inputs = linear(inputs, input.weight, input.bias, false, arithmetic)?;
-    let mut states: Vec<Tensor> = Vec::with_capacity(rows / batch);
-    for first in (0..rows).step_by(batch) {
-        let state = states.last().unwrap_or(start);
-        let hidden = state.matmul(&hidden.weight.t()?)?.broadcast_add(hidden.bias)?;
-        states.push(composed(&inputs.narrow(0, first, batch)?, &hidden, state)?);
-    }
-    Tensor::cat(&states, 0)
-}
-
-/// Computes the states of one time by candle's operations, from the products with the inputs and with the last states.
-pub(super) fn composed(input: &Tensor, hidden: &Tensor, last: &Tensor) -> Result<Tensor> {
-    let width = last.dim(1)?;
-    let part = |gates: &Tensor, index: usize| gates.narrow(1, index * width, width);
-    let reset = sigmoid(&(part(input, 0)? + part(hidden, 0)?)?)?;
-    let update = sigmoid(&(part(input, 1)? + part(hidden, 1)?)?)?;
-    let candidate = (part(input, 2)? + (reset * part(hidden, 2)?)?)?.tanh()?;
-    &candidate + (update * (last - &candidate)?)?
+    // candle gives an op at most three arguments, so the parameters are passed as one tensor.
+    let flat = [&input.weight.flatten_all()?, input.bias, &hidden.weight.flatten_all()?, hidden.bias];
+    let op = Gru { sizes: Sizes { batch, columns, width, arithmetic }, products: OnceLock::new() };
+    inputs.contiguous()?.apply_op3(&Tensor::cat(&flat, 0)?, &start.contiguous()?, op)
 }
 
 struct Gru {

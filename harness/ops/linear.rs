@@ -11,11 +11,11 @@ use harness_kernels::product::{Accumulate, Matrix, product};
 /// # Errors
 /// When the shapes do not match.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {
-    if x.device().is_cpu() {
-        return x.contiguous()?.apply_op3(&w.contiguous()?, b, Linear { arithmetic, relu });
+    #[cfg(feature = "cuda")]
+    if x.device().is_cuda() {
+        return crate::cuda::linear(x, w, b, relu, arithmetic);
     }
-    let y = x.matmul(&w.t()?)?.broadcast_add(b)?;
-    if relu { y.relu() } else { Ok(y) }
+    x.contiguous()?.apply_op3(&w.contiguous()?, b, Linear { arithmetic, relu })
 }
 
 struct Linear {

@@ -12,11 +12,11 @@ use harness_kernels::{self as kernels, exp, simd};
 /// # Errors
 /// When the noise has another shape.
 pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
-    if posterior.device().is_cpu() {
-        return posterior.contiguous()?.apply_op1(Sample { noise: noise.contiguous()? });
+    #[cfg(feature = "cuda")]
+    if posterior.device().is_cuda() {
+        return crate::cuda::sample(posterior, noise);
     }
-    let (mean, log_variance) = halves(posterior)?;
-    mean + ((log_variance * 0.5)?.exp()? * noise)?
+    posterior.contiguous()?.apply_op1(Sample { noise: noise.contiguous()? })
 }
 
 /// Returns the Kullback-Leibler divergence from the standard normal distribution (Kingma & Welling, 2014, appendix B).
@@ -26,11 +26,11 @@ pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// When the tensor has no columns.
 pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
-    let batch = posterior.dim(0)? as f64;
-    if posterior.device().is_cpu() {
-        return posterior.contiguous()?.apply_op1(Divergence);
+    #[cfg(feature = "cuda")]
+    if posterior.device().is_cuda() {
+        return crate::cuda::kl_divergence(posterior);
     }
-    divergences(posterior, None)?.sum_all()? * (1.0 / batch)
+    posterior.contiguous()?.apply_op1(Divergence)
 }
 
 /// Returns the Kullback-Leibler divergence of each dimension from a prior, or from the standard normal distribution,
@@ -69,14 +69,12 @@ pub fn balanced_divergence(
     if posterior.dims() != prior.dims() {
         bail!("the shapes of posterior and prior are {:?} and {:?}", posterior.dims(), prior.dims());
     }
-    if posterior.device().is_cpu() {
-        let op = Balanced { free: free as f32, representation: representation as f32 };
-        return posterior.contiguous()?.apply_op2(&prior.contiguous()?, op);
+    #[cfg(feature = "cuda")]
+    if posterior.device().is_cuda() {
+        return crate::cuda::balanced_divergence(posterior, prior, free, representation);
     }
-    let nats = |posterior: &Tensor, prior: &Tensor| {
-        divergences(posterior, Some(prior))?.sum(1)?.maximum(free)?.mean_all()
-    };
-    nats(&posterior.detach(), prior)? + (nats(posterior, &prior.detach())? * representation)?
+    let op = Balanced { free: free as f32, representation: representation as f32 };
+    posterior.contiguous()?.apply_op2(&prior.contiguous()?, op)
 }
 
 /// Splits a posterior into means and log-variances.

@@ -5,10 +5,10 @@
 //! used at each time are packed once, and each thread takes its sequences through all times, as in a gated recurrent
 //! unit.
 
-use super::gru::{Gated, Parts, composed, fill_rows, gradients, next_states};
+use super::gru::{Gated, Parts, fill_rows, gradients, next_states};
 use super::linear::weight_gradient;
 use super::posterior::{add_gradients, draw};
-use super::{Arithmetic, TwoLayers, linear, sample, slice, tensor, threads, with_values};
+use super::{Arithmetic, TwoLayers, linear, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use harness_kernels::product::Matrix;
 use harness_kernels::repeated::Repeated;
@@ -86,31 +86,21 @@ pub fn rssm(
         }
         None => distribution.hidden_bias.broadcast_as((rows, units))?,
     };
-    let steps = Steps {
-        latent_weight: &part(input.weight, 0, size)?,
-        memory: Gated { ..*hidden },
-        hidden_weight: &part(distribution.hidden_weight, 0, width)?,
-        distribution: Gated { weight: distribution.weight, bias: distribution.bias },
-    };
-    if !memory.device().is_cpu() {
-        return steps.composed([&of_actions, &of_encoded], given.noise, memory, latent);
-    }
     let sizes = Sizes { batch, times: rows / batch, width, units, latent: size, arithmetic };
     // candle gives an op at most three arguments and takes one result.
-    let Steps { latent_weight, memory: unit, hidden_weight, distribution } = steps;
     let packed = [
-        latent_weight,
-        unit.weight,
-        unit.bias,
-        hidden_weight,
+        &part(input.weight, 0, size)?,
+        hidden.weight,
+        hidden.bias,
+        &part(distribution.hidden_weight, 0, width)?,
         distribution.weight,
         distribution.bias,
         memory,
         latent,
     ];
-    let op = Op { sizes, noise: given.noise.map(Tensor::contiguous).transpose()?, kept: OnceLock::new() };
     let packed = packed.map(Tensor::flatten_all).into_iter().collect::<Result<Vec<_>>>()?;
-    let results = of_actions.apply_op3(&of_encoded.contiguous()?, &Tensor::cat(&packed, 0)?, op)?;
+    let noise = given.noise.map(Tensor::contiguous).transpose()?;
+    let results = steps(&of_actions, &of_encoded.contiguous()?, &Tensor::cat(&packed, 0)?, noise, sizes)?;
     let (memories, distributions) = (rows * width, rows * 2 * size);
     Ok((
         results.narrow(0, 0, memories)?.reshape((rows, width))?,
@@ -118,48 +108,20 @@ pub fn rssm(
     ))
 }
 
-/// The parameters of the products with values of the last time or of the present one.
-struct Steps<'a> {
-    /// `[3 * width, latent]`
-    latent_weight: &'a Tensor,
-    /// `[3 * width, width]`
-    memory: Gated<'a>,
-    /// `[units, width]`
-    hidden_weight: &'a Tensor,
-    /// `[2 * latent, units]`
-    distribution: Gated<'a>,
-}
-
-impl Steps<'_> {
-    /// Computes the steps by candle's operations.
-    fn composed(
-        &self,
-        [of_actions, of_encoded]: [&Tensor; 2],
-        noise: Option<&Tensor>,
-        memory: &Tensor,
-        latent: &Tensor,
-    ) -> Result<(Tensor, Tensor)> {
-        let (batch, size) = latent.dims2()?;
-        let product = |x: &Tensor, weight: &Tensor| x.matmul(&weight.t()?);
-        let (mut memory, mut latent) = (memory.clone(), latent.clone());
-        let (mut memories, mut distributions) = (Vec::new(), Vec::new());
-        for first in (0..of_actions.dim(0)?).step_by(batch) {
-            let now = |tensor: &Tensor| tensor.narrow(0, first, batch);
-            let input = (now(of_actions)? + product(&latent, self.latent_weight)?)?;
-            let hidden = product(&memory, self.memory.weight)?.broadcast_add(self.memory.bias)?;
-            memory = composed(&input, &hidden, &memory)?;
-            let hidden = (now(of_encoded)? + product(&memory, self.hidden_weight)?)?.relu()?;
-            let distribution =
-                product(&hidden, self.distribution.weight)?.broadcast_add(self.distribution.bias)?;
-            latent = match noise {
-                Some(noise) => sample(&distribution, &now(noise)?)?,
-                None => distribution.narrow(1, 0, size)?.contiguous()?,
-            };
-            memories.push(memory.clone());
-            distributions.push(distribution);
-        }
-        Ok((Tensor::cat(&memories, 0)?, Tensor::cat(&distributions, 0)?))
+/// Computes the memories and the distributions, one after the other, from the parts of the products that do not depend
+/// on the last time. `packed` holds the other parameters and the states before the first time (see [`Sizes::packed`]).
+fn steps(
+    of_actions: &Tensor,
+    of_encoded: &Tensor,
+    packed: &Tensor,
+    noise: Option<Tensor>,
+    sizes: Sizes,
+) -> Result<Tensor> {
+    #[cfg(feature = "cuda")]
+    if of_actions.device().is_cuda() {
+        return crate::cuda::rssm(of_actions, of_encoded, packed, noise, sizes);
     }
+    of_actions.apply_op3(of_encoded, packed, Op { sizes, noise, kept: OnceLock::new() })
 }
 
 struct Op {
@@ -183,17 +145,17 @@ struct Kept {
 
 /// Sizes of the op's matrices.
 #[derive(Clone, Copy)]
-struct Sizes {
+pub(super) struct Sizes {
     /// Number of sequences.
-    batch: usize,
-    times: usize,
+    pub batch: usize,
+    pub times: usize,
     /// Width of the memory.
-    width: usize,
+    pub width: usize,
     /// Width of the hidden layer.
-    units: usize,
+    pub units: usize,
     /// Size of the latent state.
-    latent: usize,
-    arithmetic: Arithmetic,
+    pub latent: usize,
+    pub arithmetic: Arithmetic,
 }
 
 /// Splits values into parts of these lengths.
@@ -215,16 +177,19 @@ fn split_mut<const N: usize>(mut values: &mut [f32], lens: [usize; N]) -> [&mut 
 }
 
 impl Sizes {
-    fn rows(self) -> usize {
+    pub fn rows(self) -> usize {
         self.times * self.batch
     }
 
-    fn gates(self) -> usize {
+    pub fn gates(self) -> usize {
         3 * self.width
     }
 
-    /// Lengths of the parameters of [`Steps`], and of the memory and the latent state before the first time.
-    fn packed(self) -> [usize; 8] {
+    /// Lengths of the parameters of the products at each time, and of the memory and the latent state before the first
+    /// time: the weight of the latent state `[3 * width, latent]`, the unit's weight `[3 * width, width]` and bias, the
+    /// weight of the memory in the hidden layer `[units, width]`, and the distribution's weight `[2 * latent, units]`
+    /// and bias.
+    pub fn packed(self) -> [usize; 8] {
         let Self { batch, width, units, latent, .. } = self;
         let gates = self.gates();
         [
@@ -240,7 +205,7 @@ impl Sizes {
     }
 
     /// Lengths of the memories and of the distributions.
-    fn results(self) -> [usize; 2] {
+    pub fn results(self) -> [usize; 2] {
         [self.rows() * self.width, self.rows() * 2 * self.latent]
     }
 

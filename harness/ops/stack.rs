@@ -75,7 +75,8 @@ pub(super) enum Side {
 }
 
 impl Side {
-    fn channels(self, sizes: &Convolution) -> usize {
+    /// Returns the number of channels of the image that the bias is added to.
+    pub fn channels(self, sizes: &Convolution) -> usize {
         match self {
             Self::Encoder => sizes.coarse_channels,
             Self::Decoder => sizes.fine_channels,

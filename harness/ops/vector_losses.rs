@@ -29,18 +29,12 @@ pub fn vector_losses(
     if parts == 0 || !predicted.dim(0)?.is_multiple_of(parts) {
         candle_core::bail!("{} rows can't be divided into {parts} equal parts", predicted.dim(0)?);
     }
-    if predicted.device().is_cpu() {
-        let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec(), parts };
-        return predicted.contiguous()?.apply_op1(op);
+    #[cfg(feature = "cuda")]
+    if predicted.device().is_cuda() {
+        return crate::cuda::vector_losses(predicted, target, quantities, parts);
     }
-    let errors = (predicted - target)?;
-    let mut first = 0;
-    let means = quantities.iter().map(|quantity| {
-        first += quantity.width;
-        let errors = errors.narrow(1, first - quantity.width, quantity.width)?;
-        composed(quantity.loss, &errors)?.reshape((parts, ()))?.mean(1)
-    });
-    Tensor::stack(&means.collect::<Result<Vec<_>>>()?, 0)
+    let op = VectorLosses { target: target.contiguous()?, quantities: quantities.to_vec(), parts };
+    predicted.contiguous()?.apply_op1(op)
 }
 
 /// Computes the loss of each error with candle's operations.

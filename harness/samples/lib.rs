@@ -211,7 +211,7 @@ impl Samples {
     }
 
     /// Returns the sample before this one in its episode. For the first sample, returns the sample itself.
-    fn previous(&self, sample: Sample) -> Sample {
+    pub fn previous(&self, sample: Sample) -> Sample {
         let (_, place) = self.place(sample);
         if place == 0 { sample } else { sample.before(1) }
     }

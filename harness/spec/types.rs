@@ -119,8 +119,11 @@ pub enum Precision {
     /// Factors are rounded to 16 bits, of which 8 are significant. Sums and parameters stay f32. This is several times
     /// as fast on a processor with bf16 tiles (Intel AMX), and not faster on others.
     Bf16,
+    /// On a GPU, whose matrix units round factors to TF32, of which 11 bits are significant. Sums and parameters stay
+    /// f32.
+    Tf32,
 }
-names!(Precision { F32 => "f32", Bf16 => "bf16" });
+names!(Precision { F32 => "f32", Bf16 => "bf16", Tf32 => "tf32" });
 
 /// The device on which a network is trained.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -129,8 +132,8 @@ pub enum Device {
     /// The processor, with as many threads as the run has.
     #[default]
     Cpu,
-    /// The first GPU, through CUDA. The harness must be built with `--features cuda`. Results are not reproducible bit
-    /// by bit.
+    /// The first GPU, through CUDA. The harness must be built with `--features cuda`. Numbers differ from those of the
+    /// processor, and of another kind of GPU, by rounding.
     Cuda,
 }
 names!(Device { Cpu => "cpu", Cuda => "cuda" });

@@ -360,10 +360,15 @@ fn tensors([rows, columns]: [usize; 2], network: &Network, training: &Training) 
 }
 
 fn precision(training: &Training) -> Result<(), Fault> {
-    if (training.device, training.precision) == (Device::Cuda, Precision::Bf16) {
-        return fault("training.precision", "bf16 is for the cpu; a network on cuda is trained in f32");
+    match (training.device, training.precision) {
+        (Device::Cuda, Precision::Bf16) => {
+            fault("training.precision", "bf16 is for the cpu; a network on cuda is trained in f32 or tf32")
+        }
+        (Device::Cpu, Precision::Tf32) => {
+            fault("training.precision", "tf32 is for cuda; a network on the cpu is trained in f32 or bf16")
+        }
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 /// Refuses a warm-up that is longer than the training, and a weight decay that would change the sign of weights.

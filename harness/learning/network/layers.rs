@@ -5,7 +5,9 @@ use super::description::{Activation, Convolution, IMAGES, Layer, Operation};
 use crate::random::Random;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use harness_ops::frames::{Averaged, Frames};
-use harness_ops::{Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, two_layers};
+use harness_ops::{
+    Arithmetic, Dropout, FrameDecoder, Stack, TwoLayers, frame_encoder, linear, norm, two_layers,
+};
 use std::sync::Arc;
 
 /// Name of the layer that flattens the convolutions' output.
@@ -225,8 +227,7 @@ impl Norm {
 
     /// Returns the normalized rows of `x` `[batch, width]`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        // candle-nn's other layer normalization has no gradient.
-        candle_nn::ops::layer_norm_slow(x, &self.weight, &self.bias, NORM_EPSILON)
+        norm(x, &self.weight, &self.bias, NORM_EPSILON)
     }
 
     /// Describes the layer.

@@ -21,9 +21,9 @@ pub use cvae::Cvae;
 pub use recurrent::Recurrent;
 
 use super::random::Random;
-use candle_core::{DType, Device, Result, Tensor, Var};
+use candle_core::{Device, Result, Tensor, Var};
 use description::Layer;
-use harness_ops::{self as ops, Arithmetic, Dropout};
+use harness_ops::{self as ops, Arithmetic, Dropout, Values};
 use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
@@ -325,8 +325,7 @@ impl Draw<'_> {
     /// When the noise can't be copied to the device.
     pub fn noise(&mut self, batch: usize, latent: usize, device: &Device) -> Result<Option<Tensor>> {
         let Self::Sample { random, .. } = self else { return Ok(None) };
-        let noise = Tensor::from_vec(random.normal(batch * latent), (batch, latent), &Device::Cpu)?;
-        noise.to_device(device).map(Some)
+        ops::input(Values::F32(random.normal(batch * latent)), (batch, latent), device).map(Some)
     }
 }
 
@@ -382,7 +381,7 @@ pub trait Network: Send + Sync {
         Ok(Seen { state: State::joined(&states)?, divergence: mean(divergences)?, divergences: None })
     }
 
-    /// Returns the predicted sample. On the CPU its images have no gradient.
+    /// Returns the predicted sample. Its images have no gradient.
     ///
     /// # Errors
     /// When a tensor operation fails.
@@ -593,12 +592,4 @@ impl Posterior {
 /// When there are none.
 pub(crate) fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
     if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
-}
-
-/// Returns the value of a scalar tensor.
-///
-/// # Errors
-/// When the tensor has more than one value.
-pub fn scalar(tensor: &Tensor) -> Result<f64> {
-    tensor.to_dtype(DType::F64)?.to_scalar()
 }
