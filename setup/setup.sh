@@ -11,6 +11,7 @@
 #   setup/setup.sh --cluster      also Slurm, for its tests
 #   setup/setup.sh --notebooks    also .venv-notebooks, with Stable-Baselines3 and Jupyter
 #   setup/setup.sh --wheel        also .venv-wheel, with what builds a wheel
+#   setup/setup.sh --cuda         also .venv-cuda/cuda, a CUDA toolkit for building with `--features cuda`
 #   setup/setup.sh --models       also .venv-models, with other people's robot models for the tests
 set -eu
 cd "$(dirname "$0")/.."
@@ -134,6 +135,24 @@ check_slurm() {
     command -v sbatch >/dev/null || fail "Slurm is missing; install it as root: apt-get install $packages"
 }
 
+# The packages have the libraries only under their versioned names, and lack the driver's library, which only machines
+# with a GPU have. The linker needs its name and its functions' names.
+link_cuda() {
+    packages=$(cd .venv-cuda && echo lib/python3*/site-packages/nvidia/cu13)
+    toolkit=.venv-cuda/cuda
+    mkdir -p $toolkit/lib64
+    for folder in bin include nvvm; do ln -sfn "../$packages/$folder" "$toolkit/$folder"; done
+    for library in ".venv-cuda/$packages"/lib/lib*.so.*; do
+        name=$(basename "$library")
+        ln -sfn "../../$packages/lib/$name" "$toolkit/lib64/$name"
+        ln -sfn "$name" "$toolkit/lib64/${name%%.so.*}.so"
+    done
+    [ -e $toolkit/lib64/libcuda.so ] && return
+    command -v cc >/dev/null || fail 'a C compiler is missing; install one as root: apt-get install gcc g++'
+    grep -oE '\bcu[A-Z][A-Za-z0-9_]*' $toolkit/include/cuda.h | sort -u | sed 's/.*/void &(void) {}/' |
+        cc -shared -fPIC -w -Wl,-soname,libcuda.so.1 -x c -o $toolkit/lib64/libcuda.so -
+}
+
 check_rust
 make_venv .venv
 install_packages .venv requirements.txt
@@ -168,6 +187,11 @@ case ${1-} in
 --wheel)
     make_venv .venv-wheel
     install_packages .venv-wheel requirements-wheel.txt
+    ;;
+--cuda)
+    make_venv .venv-cuda
+    install_packages .venv-cuda requirements-cuda.txt
+    link_cuda
     ;;
 --models)
     make_venv .venv-models
