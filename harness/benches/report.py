@@ -160,9 +160,15 @@ def markdown(measurements: list[Measurement], machine: Machine) -> str:
 
 
 def write_parquet(path: Path, measurements: list[Measurement], machine: Machine) -> None:
-    """Writes one row for each measurement, with units and meanings in the metadata.
+    """Writes one row for each measurement."""
+    write_rows(path, [asdict(measurement) | asdict(machine) for measurement in measurements], COLUMNS)
 
-    The file is written completely or not at all. Rows of other comparisons in an existing file are kept.
+
+def write_rows(path: Path, rows: list[dict], columns: tuple[tuple[str, str, str, str], ...]) -> None:
+    """Writes a table, with units and meanings in the metadata.
+
+    The file is written completely or not at all. Rows with other values in the first column of an existing file are
+    kept.
     """
     import pyarrow
     import pyarrow.parquet
@@ -173,18 +179,18 @@ def write_parquet(path: Path, measurements: list[Measurement], machine: Machine)
         "integer": pyarrow.int64(),
         "flag": pyarrow.bool_(),
     }
-    described = [dict(zip(("name", "kind", "unit", "meaning"), column)) for column in COLUMNS]
+    described = [dict(zip(("name", "kind", "unit", "meaning"), column)) for column in columns]
     fields = [
         pyarrow.field(name, types[kind], metadata={"unit": unit, "meaning": meaning})
-        for name, kind, unit, meaning in COLUMNS
+        for name, kind, unit, meaning in columns
     ]
     # The harness's own tables use the same key.
     schema = pyarrow.schema(fields, metadata={"harness.columns": json.dumps(described)})
-    rows = [asdict(measurement) | asdict(machine) for measurement in measurements]
-    measured = {row["name"] for row in rows}
+    key = columns[0][0]
+    measured = {row[key] for row in rows}
     if path.exists():
         before = pyarrow.parquet.read_table(path).to_pylist()
-        rows = [row for row in before if row["name"] not in measured] + rows
+        rows = [row for row in before if row[key] not in measured] + rows
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".unfinished-", delete=False) as file:
         temporary = Path(file.name)

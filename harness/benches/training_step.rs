@@ -49,7 +49,13 @@ struct Arguments {
     /// Number of timed steps.
     #[arg(long, default_value_t = 20)]
     steps: usize,
-    /// f32 or bf16
+    /// cpu or cuda
+    #[arg(long, default_value = "cpu", value_parser = device)]
+    device: harness::spec::Device,
+    /// Number of steps that are timed together. A GPU computes one step while the next ones are queued.
+    #[arg(long, default_value_t = 1)]
+    block: usize,
+    /// f32 or bf16, and tf32 on a GPU
     #[arg(long, default_value = "f32", value_parser = precision)]
     precision: Precision,
     /// Do not use the processor's tile unit.
@@ -67,12 +73,47 @@ fn memory(name: &str) -> Result<Memory, String> {
     found.ok_or_else(|| format!("'{name}' is neither none, window, gru nor rssm"))
 }
 
-fn precision(name: &str) -> Result<Precision, String> {
-    let found = Precision::ALL.iter().copied().find(|precision| precision.name() == name);
-    found.ok_or_else(|| format!("'{name}' is neither f32 nor bf16"))
+fn device(name: &str) -> Result<harness::spec::Device, String> {
+    let found = harness::spec::Device::ALL.iter().copied().find(|device| device.name() == name);
+    found.ok_or_else(|| format!("'{name}' is neither cpu nor cuda"))
 }
 
-fn main() -> candle_core::Result<()> {
+fn precision(name: &str) -> Result<Precision, String> {
+    let found = Precision::ALL.iter().copied().find(|precision| precision.name() == name);
+    found.ok_or_else(|| format!("'{name}' is neither f32, bf16 nor tf32"))
+}
+
+type Step<'a> = dyn FnMut(&mut Random, &mut Adam) -> candle_core::Result<Tensor> + 'a;
+
+/// Returns the step itself, or on a GPU the same step recorded as a graph, as trainings repeat it.
+fn repeated<'a>(
+    device: &Device,
+    step: &'a mut Step,
+    random: &mut Random,
+    adam: &mut Adam,
+) -> candle_core::Result<Box<Step<'a>>> {
+    #[cfg(feature = "cuda")]
+    if device.is_cuda() {
+        use harness::ops::Values;
+        use harness::ops::graph::{Graph, first_run};
+        let (losses, inputs) = first_run(device, || step(random, adam))?;
+        let lens: Vec<usize> = inputs.iter().map(|input| input.values.len()).collect();
+        let of_adam = adam.input().len();
+        let graph = Graph::record(device, inputs, losses.copy()?, || step(random, adam))?;
+        return Ok(Box::new(move |random, adam| {
+            let adam = adam.count();
+            let value = |len: &usize| match *len {
+                len if len == of_adam => adam.clone(),
+                len => Values::F32(random.normal(len)),
+            };
+            graph.repeat(&lens.iter().map(value).collect::<Vec<_>>())
+        }));
+    }
+    let _ = (device, random, adam);
+    Ok(Box::new(step))
+}
+
+fn main() -> anyhow::Result<()> {
     // SAFETY: no other thread exists yet. Option 15 is the purge delay, a number that may be set at any time.
     unsafe {
         harness::learning::prepare_threads();
@@ -102,15 +143,15 @@ fn main() -> candle_core::Result<()> {
     };
     let batch = arguments.batch;
     if !batch.is_multiple_of(arguments.context) {
-        candle_core::bail!("{batch} samples are no whole sequences of {}", arguments.context);
+        anyhow::bail!("{batch} samples are no whole sequences of {}", arguments.context);
     }
     let sequences = batch / arguments.context;
+    let device = harness::learning::open_device(arguments.device)?;
     let mut random = Random::new(0, Stream::Parameters(Task::Prediction));
     let mut parameters = Parameters::new();
-    let network = architecture.network(&mut parameters, &mut random, &Device::Cpu)?;
+    let network = architecture.network(&mut parameters, &mut random, &device)?;
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3)?;
-    let mut matrix =
-        |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &Device::Cpu);
+    let mut matrix = |width: usize| Tensor::from_vec(random.normal(batch * width), (batch, width), &device);
     let (vector_seen, actions, target) = (matrix(20)?, matrix(layout.action().len())?, matrix(40)?);
     let mut picture = || -> candle_core::Result<Arc<dyn Frames>> {
         let values = random.normal(batch * 3 * 64 * 64);
@@ -128,12 +169,10 @@ fn main() -> candle_core::Result<()> {
     ];
     let values: Observation = changed.into_iter().chain(vectors).collect();
     let targets = Targets { values: &values, losses: &Default::default(), parts: 1 };
-    let mut seconds = Vec::with_capacity(arguments.steps);
-    for _ in 0..arguments.steps + 2 {
-        let begin = Instant::now();
-        let draw = &mut Draw::Sample { random: &mut random, dropout: 0.0 };
+    let mut step = |random: &mut Random, adam: &mut Adam| -> candle_core::Result<Tensor> {
+        let draw = &mut Draw::Sample { random, dropout: 0.0 };
         let encoded = network.encode(&observation, draw)?;
-        let start = network.start(sequences, &Device::Cpu)?;
+        let start = network.start(sequences, &device)?;
         let Seen { state, divergence, .. } =
             network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
         let mut loss = (divergence * 1e-3)?;
@@ -141,9 +180,19 @@ fn main() -> candle_core::Result<()> {
             loss = (loss + term.value.get(0)?)?;
         }
         adam.step(&loss.backward()?)?;
-        seconds.push(begin.elapsed().as_secs_f64());
+        loss.detach().reshape(1)
+    };
+    let mut repeated = repeated(&device, &mut step, &mut random, &mut adam)?;
+    let mut seconds = Vec::with_capacity(arguments.steps);
+    for _ in 0..arguments.steps.div_ceil(arguments.block) + 2 {
+        let begin = Instant::now();
+        for _ in 0..arguments.block {
+            repeated(&mut random, &mut adam)?;
+        }
+        device.synchronize()?;
+        seconds.push(begin.elapsed().as_secs_f64() / arguments.block as f64);
     }
-    // The first two steps warm up caches and the allocator.
+    // The first two blocks warm up caches, the allocator and a GPU.
     let mut seconds = seconds.split_off(2);
     seconds.sort_by(f64::total_cmp);
     println!(
@@ -151,7 +200,8 @@ fn main() -> candle_core::Result<()> {
         serde_json::json!({
             "channels": arguments.channels, "fusion": arguments.fusion.name(), "hidden": arguments.hidden,
             "latent": arguments.latent, "memory": arguments.memory.name(), "context": arguments.context,
-            "batch": batch, "unit": format!("{:?}", architecture.arithmetic.unit),
+            "batch": batch, "device": arguments.device.name(), "precision": arguments.precision.name(),
+            "unit": format!("{:?}", architecture.arithmetic.unit),
             "median_seconds": seconds[seconds.len() / 2], "min": seconds[0], "max": seconds[seconds.len() - 1],
             "threads": rayon::current_num_threads(),
         })
