@@ -126,8 +126,8 @@ fn times(at: &[Sample], distances: Range<usize>) -> Vec<Sample> {
     distances.rev().flat_map(|distance| before(at, distance)).collect()
 }
 
-/// Returns the samples at `count` distances after those in `at`, the first of which is `first`. Those at one distance lie
-/// together.
+/// Returns the samples at `count` distances after those in `at`, the first of which is `first`. Those at one distance
+/// lie together.
 fn later(at: &[Sample], first: usize, count: usize) -> Vec<Sample> {
     (first..first + count).flat_map(|distance| after(at, distance)).collect()
 }

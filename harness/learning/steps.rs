@@ -1,5 +1,5 @@
-//! Training steps: the loss of a batch, its gradients, and a step of Adam. On a GPU, steps of the same kind are repeated
-//! as one recorded graph.
+//! Training steps: the loss of a batch, its gradients, and a step of Adam. On a GPU, steps of the same kind are
+//! repeated as one recorded graph.
 
 use super::network::Draw;
 use super::objective::{Objective, Weighted};

@@ -32,8 +32,9 @@ struct Slots {
 unsafe impl DeviceRepr for Slots {}
 
 /// Takes a step over all parameters and their moments, in place. `constants` are the decay rates of both moments and
-/// epsilon. `factors`, on the GPU, are the learning rate, the corrections of both moments, and the share of parameters of
-/// rank 2 or more that remains after weight decay. `gradient_scale`, a scalar on the GPU, is the factor of the gradients.
+/// epsilon. `factors`, on the GPU, are the learning rate, the corrections of both moments, and the share of parameters
+/// of rank 2 or more that remains after weight decay. `gradient_scale`, a scalar on the GPU, is the factor of the
+/// gradients.
 pub fn adam(
     [beta_mean, beta_square, epsilon]: [f32; 3],
     factors: &Tensor,

@@ -7,8 +7,8 @@ struct Sizes {
     int rows, columns;
 };
 
-// What follows a convolution: a bias is added if there is one, then negative values become 0 if `relu`, or values become
-// 0 where `mask`, if there is one, is not positive.
+// What follows a convolution: a bias is added if there is one, then negative values become 0 if `relu`, or values
+// become 0 where `mask`, if there is one, is not positive.
 struct Then {
     const float *bias, *mask;
     int relu;
@@ -158,9 +158,9 @@ __device__ void spread_tile(const float *coarse, const float *kernel, float *fin
         for (int channel = 0; channel < channels; channel++, from += area) {
             float values[3][4];
             load_coarse(values, from, pair, sizes);
-            // The fine row 2 r + a gets tap 1 - a + 2 k from the coarse row r + a - k, for k = 0 and 1. (The row 2 r gets
-            // taps 1 and 3 from the rows r and r - 1, and the row 2 r + 1 gets taps 0 and 2 from r + 1 and r.) Columns
-            // likewise.
+            // The fine row 2 r + a gets tap 1 - a + 2 k from the coarse row r + a - k, for k = 0 and 1. (The row 2 r
+            // gets taps 1 and 3 from the rows r and r - 1, and the row 2 r + 1 gets taps 0 and 2 from r + 1 and r.)
+            // Columns likewise.
 #pragma unroll
             for (int a = 0; a < 2; a++)
 #pragma unroll
@@ -185,8 +185,8 @@ __device__ void spread_tile(const float *coarse, const float *kernel, float *fin
         if (channel >= sizes.fine_channels) break;
 #pragma unroll
         for (int a = 0; a < 2; a++) {
-            long long line = ((long long)pair.image * sizes.fine_channels + channel) * 2 * sizes.rows + 2 * pair.row + a;
-            long long at = line * 2 * sizes.columns + 2 * pair.column;
+            long long line = ((long long)pair.image * sizes.fine_channels + channel) * sizes.rows + pair.row;
+            long long at = (2 * line + a) * 2 * sizes.columns + 2 * pair.column;
             float values[4];
 #pragma unroll
             for (int b = 0; b < 4; b++)
@@ -212,8 +212,8 @@ constexpr int OUTPUTS = 4;
 constexpr int GRADIENT_THREADS = 256;
 
 // The gradient of a kernel: one of `fine` and `coarse` is the input, and the other one the gradient of the output. A
-// block sums a part of the positions (blockIdx.x) for one fine channel and `OUTPUTS` coarse channels (blockIdx.y). `sums`
-// is [parts][coarse channels][fine channels][16].
+// block sums a part of the positions (blockIdx.x) for one fine channel and `OUTPUTS` coarse channels (blockIdx.y).
+// `sums` is [parts][coarse channels][fine channels][16].
 extern "C" __global__ void __launch_bounds__(GRADIENT_THREADS)
 kernel_gradient(const float *fine, const float *coarse, float *sums, Sizes sizes) {
     __shared__ float parts[GRADIENT_THREADS / 32][OUTPUTS * 16];

@@ -28,8 +28,8 @@ struct Sizes {
 // SAFETY: the kernels declare the same fields.
 unsafe impl DeviceRepr for Sizes {}
 
-/// What follows a convolution: a bias is added if there is one, then negative values become 0 if `relu`, or values become
-/// 0 where those of `mask` are not positive.
+/// What follows a convolution: a bias is added if there is one, then negative values become 0 if `relu`, or values
+/// become 0 where those of `mask` are not positive.
 #[repr(C)]
 #[derive(Clone, Copy, Default)]
 pub struct Then {
@@ -186,8 +186,8 @@ impl Places {
         self.0.last().map_or(0, |place| place[2])
     }
 
-    /// Computes the gradients of a layer's kernel and bias. `biased` are gradients of the images that the bias was added
-    /// to, which are `fine` or `coarse`.
+    /// Computes the gradients of a layer's kernel and bias. `biased` are gradients of the images that the bias was
+    /// added to, which are `fine` or `coarse`.
     pub fn gradients(
         &self,
         gpu: &Gpu,

@@ -1,7 +1,7 @@
 // Frames of samples, and the dropout of their activations.
 
-// Normalized frames of the samples `rows`, [batch][len]. `bytes` are the frames of all samples. With `before`, the frame
-// before each sample is subtracted.
+// Normalized frames of the samples `rows`, [batch][len]. `bytes` are the frames of all samples. With `before`, the
+// frame before each sample is subtracted.
 extern "C" __global__ void gather_frames(
     const unsigned char *bytes, const unsigned *rows, const unsigned *before, const float *mean, float factor,
     float *frames, int batch, int len

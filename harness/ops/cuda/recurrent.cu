@@ -41,7 +41,8 @@ __device__ unsigned load_acquire(const unsigned *count) {
 
 // Copies values to shared memory that other blocks may have written in this launch.
 __device__ void copy(float *to, const float *from, int len) {
-    bool aligned = (reinterpret_cast<size_t>(to) | reinterpret_cast<size_t>(from) | 4 * static_cast<size_t>(len)) % 16 == 0;
+    size_t addresses = reinterpret_cast<size_t>(to) | reinterpret_cast<size_t>(from);
+    bool aligned = (addresses | 4 * static_cast<size_t>(len)) % 16 == 0;
     if (aligned) {
         for (int index = threadIdx.x; index < len / 4; index += blockDim.x)
             reinterpret_cast<float4 *>(to)[index] = __ldcg(reinterpret_cast<const float4 *>(from) + index);
