@@ -4,8 +4,8 @@
 use super::network::Draw;
 use super::objective::{Objective, Weighted};
 use super::random::Random;
-use super::training::TOTAL;
 use candle_core::{Result, Tensor};
+use harness_metrics::epoch::TOTAL;
 use harness_ops::Adam;
 use harness_samples::Sample;
 
