@@ -5,8 +5,8 @@
 //! its gradients are known up to a factor as soon as it is computed. They are therefore computed in the forward pass,
 //! and overwrite the output of the fully connected layer.
 
-use super::stack::{Layer, Side, Stack, StackSums, part_len, sum_packed};
-use super::{Arithmetic, slice, tensor, threads, with_values};
+use super::stack::{Layer, Side, StackSums, part_len, sum_packed};
+use super::{FrameDecoder, slice, tensor, threads, with_values};
 use crate::frames::Frames;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use harness_kernels::convolution::{Images, LANES};
@@ -14,20 +14,6 @@ use harness_kernels::product::{Accumulate, Matrix, product};
 use harness_kernels::{self as kernels, Buffer, add_to};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex};
-
-/// The parameters between the decoder's hidden layer and a frame.
-#[derive(Clone)]
-pub struct FrameDecoder {
-    /// The convolutions. They are applied transposed, so the last one of the stack comes first.
-    pub stack: Stack,
-    /// Weight of the fully connected layer, `[values of the stack's last layer, hidden]`.
-    pub weight: Tensor,
-    /// The kernel `[channels, channels before, 4, 4]` of each convolution and the bias `[channels before]` of its
-    /// transpose, in the stack's order. The bias of the fully connected layer follows them.
-    pub packed: Tensor,
-    /// How matrix products are computed.
-    pub arithmetic: Arithmetic,
-}
 
 impl FrameDecoder {
     /// Returns `hidden weightᵀ`, `[batch, values of the stack's last layer]`, without the bias.

@@ -6,22 +6,13 @@
 //! each thread takes its sequences through all of them, so that threads do not wait for each other at each step.
 
 use super::linear::weight_gradient;
-use super::{Arithmetic, slice, tensor, threads, with_values};
+use super::{Arithmetic, Gated, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use harness_kernels::product::{Accumulate, Matrix, product};
 use harness_kernels::repeated::Repeated;
 use harness_kernels::{self as kernels, Buffer, exp, simd};
 use rayon::prelude::*;
 use std::sync::OnceLock;
-
-/// The weight `[3 * width, columns]` and the bias `[3 * width]` of one of a unit's products. The rows of the gates r, z
-/// and n follow one another.
-pub struct Gated<'a> {
-    /// The weight.
-    pub weight: &'a Tensor,
-    /// The bias.
-    pub bias: &'a Tensor,
-}
 
 /// Returns the states of a gated recurrent unit over sequences, `[times * batch, width]` (Cho et al., 2014, in the form
 /// that PyTorch computes). Each is `n + z (state - n)`, where `state` is the one before it. The reset gate is `r =

@@ -5,6 +5,7 @@
 //! For a GPU, the module `cuda` has the same functions.
 
 mod adam;
+mod arguments;
 #[cfg(feature = "cuda")]
 mod cuda;
 mod dropout;
@@ -20,18 +21,19 @@ mod two_layers;
 mod vector_losses;
 
 pub use adam::Adam;
+pub use arguments::{FrameDecoder, Gated, Quantity, Sequences, StateSpace, TwoLayers};
 #[cfg(feature = "cuda")]
 pub use cuda::graph;
 pub use dropout::Dropout;
 pub use frame_encoder::frame_encoder;
-pub use frame_loss::{FrameDecoder, frame_decoder, frame_loss};
-pub use gru::{Gated, gru};
+pub use frame_loss::{frame_decoder, frame_loss};
+pub use gru::gru;
 pub use linear::linear;
 pub use posterior::{balanced_divergence, divergences, kl_divergence, sample};
-pub use rssm::{Sequences, StateSpace, rssm};
+pub use rssm::rssm;
 pub use stack::Stack;
-pub use two_layers::{TwoLayers, two_layers};
-pub use vector_losses::{Quantity, composed, vector_losses};
+pub use two_layers::two_layers;
+pub use vector_losses::{composed, vector_losses};
 
 pub use harness_kernels::product::Arithmetic;
 

@@ -5,36 +5,17 @@
 //! used at each time are packed once, and each thread takes its sequences through all times, as in a gated recurrent
 //! unit.
 
-use super::gru::{Gated, Parts, fill_rows, gradients, next_states};
+use super::arguments::Sizes;
+use super::gru::{Parts, fill_rows, gradients, next_states};
 use super::linear::weight_gradient;
 use super::posterior::{add_gradients, draw};
-use super::{Arithmetic, TwoLayers, linear, slice, tensor, threads, with_values};
+use super::{Arithmetic, Sequences, StateSpace, linear, slice, tensor, threads, with_values};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use harness_kernels::product::Matrix;
 use harness_kernels::repeated::Repeated;
 use harness_kernels::{self as kernels, Buffer};
 use rayon::prelude::*;
 use std::sync::OnceLock;
-
-/// The parameters of a recurrent state-space model whose memory has `width` values.
-pub struct StateSpace<'a> {
-    /// The unit's product with the last latent state and the action after it, `[3 * width, latent + action]`.
-    pub input: Gated<'a>,
-    /// The unit's product with the last memory, `[3 * width, width]`.
-    pub hidden: Gated<'a>,
-    /// The distribution of the latent state, `[2 * latent]`, from the memory and the encoded sample.
-    pub distribution: TwoLayers<'a>,
-}
-
-/// What a model is given at each time. The rows of one time lie together.
-pub struct Sequences<'a> {
-    /// The action before each time, `[times * batch, action]`.
-    pub actions: &'a Tensor,
-    /// The encoded samples, `[times * batch, columns]`; `None` if the distribution follows from the memory alone.
-    pub encoded: Option<&'a Tensor>,
-    /// Standard normal noise, `[times * batch, latent]`; `None` if the latent state is the mean of its distribution.
-    pub noise: Option<&'a Tensor>,
-}
 
 /// Returns the memory after each time, `[times * batch, width]`, and the distribution of its latent state,
 /// `[times * batch, 2 * latent]`, the means followed by the log-variances.
@@ -143,21 +124,6 @@ struct Kept {
     latent: Buffer,
 }
 
-/// Sizes of the op's matrices.
-#[derive(Clone, Copy)]
-pub(super) struct Sizes {
-    /// Number of sequences.
-    pub batch: usize,
-    pub times: usize,
-    /// Width of the memory.
-    pub width: usize,
-    /// Width of the hidden layer.
-    pub units: usize,
-    /// Size of the latent state.
-    pub latent: usize,
-    pub arithmetic: Arithmetic,
-}
-
 /// Splits values into parts of these lengths.
 fn split<const N: usize>(mut values: &[f32], lens: [usize; N]) -> [&[f32]; N] {
     lens.map(|len| {
@@ -177,38 +143,6 @@ fn split_mut<const N: usize>(mut values: &mut [f32], lens: [usize; N]) -> [&mut 
 }
 
 impl Sizes {
-    pub fn rows(self) -> usize {
-        self.times * self.batch
-    }
-
-    pub fn gates(self) -> usize {
-        3 * self.width
-    }
-
-    /// Lengths of the parameters of the products at each time, and of the memory and the latent state before the first
-    /// time: the weight of the latent state `[3 * width, latent]`, the unit's weight `[3 * width, width]` and bias, the
-    /// weight of the memory in the hidden layer `[units, width]`, and the distribution's weight `[2 * latent, units]`
-    /// and bias.
-    pub fn packed(self) -> [usize; 8] {
-        let Self { batch, width, units, latent, .. } = self;
-        let gates = self.gates();
-        [
-            gates * latent,
-            gates * width,
-            gates,
-            units * width,
-            2 * latent * units,
-            2 * latent,
-            batch * width,
-            batch * latent,
-        ]
-    }
-
-    /// Lengths of the memories and of the distributions.
-    pub fn results(self) -> [usize; 2] {
-        [self.rows() * self.width, self.rows() * 2 * self.latent]
-    }
-
     /// Prepares a product at each time.
     fn repeated(self, matrix: Matrix) -> Repeated {
         Repeated::new(matrix, self.times, self.arithmetic)

@@ -4,7 +4,7 @@
 //! time goes to synchronizing threads and to passes over memory. Each thread therefore takes its rows of the batch
 //! through both layers.
 
-use super::{Arithmetic, linear, slice, tensor, with_values};
+use super::{Arithmetic, TwoLayers, linear, slice, tensor, with_values};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use harness_kernels::product::{Accumulate, Matrix, product};
 use harness_kernels::{self as kernels, Buffer};
@@ -14,18 +14,6 @@ use std::sync::OnceLock;
 /// Number of parts that the batch is divided into. It is fixed, so that gradients are always summed in the same order.
 /// Each part sums the weights' gradients on its own, so with a batch of a thousand more parts cost more than they gain.
 const PARTS: usize = 4;
-
-/// Weights and biases of both layers.
-pub struct TwoLayers<'a> {
-    /// Weight of the hidden layer, `[hidden, in]`.
-    pub hidden_weight: &'a Tensor,
-    /// Bias of the hidden layer, `[hidden]`.
-    pub hidden_bias: &'a Tensor,
-    /// Weight of the output layer, `[out, hidden]`.
-    pub weight: &'a Tensor,
-    /// Bias of the output layer, `[out]`.
-    pub bias: &'a Tensor,
-}
 
 /// Returns `relu(x hidden_weightᵀ + hidden_bias) weightᵀ + bias`, `[batch, out]`, for `x` `[batch, in]`.
 ///

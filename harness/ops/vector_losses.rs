@@ -1,18 +1,9 @@
 //! The mean losses of several quantities whose columns lie side by side, as one op.
 
-use super::{slice, tensor, with_values};
+use super::{Quantity, slice, tensor, with_values};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use harness_kernels as kernels;
 use harness_spec::Loss;
-
-/// The number of columns of a quantity, and its loss.
-#[derive(Debug, Clone, Copy)]
-pub struct Quantity {
-    /// Number of columns.
-    pub width: usize,
-    /// Loss of each value's error.
-    pub loss: Loss,
-}
 
 /// Returns the mean loss of each quantity over its columns and the rows of each part of the batch, `[quantities,
 /// parts]`. The `quantities` divide the columns of `predicted` and `target`, both `[batch, width]`, from left to right.

@@ -2,7 +2,7 @@
 
 use super::recurrent::{Recurrence, Weight, recur, weight_gradient};
 use super::{Gpu, Matrix, column_sums, slice, with_values};
-use crate::rssm::Sizes;
+use crate::arguments::Sizes;
 use candle_core::cuda::cudarc::driver::{CudaSlice, CudaView, DeviceRepr};
 use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use std::ops::Range;
