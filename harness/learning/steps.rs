@@ -86,17 +86,26 @@ mod repeated {
     use harness_samples::Sample;
 
     /// Where an input of a step comes from.
-    #[derive(Debug, Clone, Copy)]
     pub enum Source {
         /// So many standard normal numbers. They are drawn after the seed of a dropout that changes nothing if
         /// `after_seed`: that of a network without images.
         Noise { len: usize, after_seed: bool },
         /// The key of the dropout.
         Dropout,
-        /// The list of rows with this index.
-        Rows(usize),
+        /// One of the lists of rows with these indices, which were all equal in the first step.
+        Rows(Vec<usize>),
         /// The optimizer.
         Adam,
+    }
+
+    impl Source {
+        /// Whether these lists of rows leave no doubt about the input.
+        fn is_certain(&self, lists: &[Vec<u32>]) -> bool {
+            match self {
+                Self::Rows(equal) => equal.iter().all(|list| lists[*list] == lists[equal[0]]),
+                _ => true,
+            }
+        }
     }
 
     /// The steps of one batch size that are repeated.
@@ -140,7 +149,11 @@ mod repeated {
                     }
                 }
                 Repeated::Graph { batch, graph, sources, names } if batch == at.len() => {
-                    let values = self.objective.indices(at)?;
+                    let lists = self.objective.indices(at)?;
+                    if !sources.iter().all(|source| source.is_certain(&lists)) {
+                        self.repeated = Repeated::Impossible;
+                        return self.take_by_itself(at, random);
+                    }
                     let adam = self.adam.count();
                     let inputs = sources.iter().map(|source| match source {
                         Source::Noise { len, after_seed } => {
@@ -150,7 +163,7 @@ mod repeated {
                             Values::F32(random.normal(*len))
                         }
                         Source::Dropout => Values::U32(Dropout::new(self.dropout, random.seed()).key()),
-                        Source::Rows(list) => Values::U32(values[*list].clone()),
+                        Source::Rows(equal) => Values::U32(lists[equal[0]].clone()),
                         Source::Adam => adam.clone(),
                     });
                     let values = graph.repeat(&inputs.collect::<Vec<_>>())?;
@@ -216,14 +229,17 @@ mod repeated {
                     random = if at_once { later } else { after };
                     Source::Noise { len: noise.len(), after_seed: !at_once }
                 }
-                Values::U32(rows) => match lists.iter().position(|list| list == rows) {
-                    Some(list) => Source::Rows(list),
-                    None if Dropout::new(dropout, later.seed()).key() == *rows => {
+                Values::U32(rows) => {
+                    let equal: Vec<usize> = (0..lists.len()).filter(|list| lists[*list] == *rows).collect();
+                    if !equal.is_empty() {
+                        Source::Rows(equal)
+                    } else if Dropout::new(dropout, later.seed()).key() == *rows {
                         random = later;
                         Source::Dropout
+                    } else {
+                        return Ok(None);
                     }
-                    None => return Ok(None),
-                },
+                }
             };
             sources.push(source);
         }
