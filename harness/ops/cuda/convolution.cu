@@ -282,19 +282,3 @@ extern "C" __global__ void channel_sums(const float *images, float *sums, int ba
     }
     if (threadIdx.x == 0) sums[blockIdx.y * channels + channel] = parts[0];
 }
-
-// Sums parts [parts][len]. A block of 32 x 8 threads sums 32 values.
-extern "C" __global__ void sum_parts(const float *values, float *sums, int parts, int len) {
-    __shared__ float shares[8][32];
-    int index = blockIdx.x * 32 + threadIdx.x;
-    float sum = 0.0f;
-    if (index < len)
-        for (int part = threadIdx.y; part < parts; part += 8) sum += values[(long long)part * len + index];
-    shares[threadIdx.y][threadIdx.x] = sum;
-    __syncthreads();
-    if (threadIdx.y == 0 && index < len) {
-        sum = 0.0f;
-        for (int share = 0; share < 8; share++) sum += shares[share][threadIdx.x];
-        sums[index] = sum;
-    }
-}

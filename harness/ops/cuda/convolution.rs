@@ -1,6 +1,6 @@
 //! Convolutions of 4 x 4 with a stride of 2, and their gradients.
 
-use super::{Gpu, launch};
+use super::{Gpu, launch, write_column_sums};
 use crate::Stack;
 use crate::stack::Side;
 use candle_core::Result;
@@ -133,7 +133,7 @@ fn kernel_gradient(
     let mut sums = gpu.scratch(parts * len)?;
     let config = LaunchConfig { grid_dim: (parts as u32, groups as u32, 1), ..grid(1, 1) };
     launch!(gpu, CONVOLUTION, "kernel_gradient", config, fine, coarse, &mut sums, &sizes);
-    sum_parts(gpu, &sums, parts, out)
+    write_column_sums(gpu, &sums.as_view(), out)
 }
 
 /// Sums each channel over all images.
@@ -149,15 +149,7 @@ fn channel_sums(
     let config = LaunchConfig { grid_dim: (channels as u32, parts as u32, 1), ..grid(1, 1) };
     let (batch, channels, area) = (batch as i32, channels as i32, area as i32);
     launch!(gpu, CONVOLUTION, "channel_sums", config, images, &mut sums, &batch, &channels, &area);
-    sum_parts(gpu, &sums, parts, out)
-}
-
-fn sum_parts(gpu: &Gpu, sums: &CudaSlice<f32>, parts: usize, out: &mut CudaViewMut<f32>) -> Result<()> {
-    let len = sums.len() / parts;
-    let config = LaunchConfig { block_dim: (32, 8, 1), ..super::blocks(len.div_ceil(32), 32) };
-    let (parts, len) = (parts as i32, len as i32);
-    launch!(gpu, CONVOLUTION, "sum_parts", config, sums, out, &parts, &len);
-    Ok(())
+    write_column_sums(gpu, &sums.as_view(), out)
 }
 
 /// Where the kernel and the bias of each layer lie in packed parameters.

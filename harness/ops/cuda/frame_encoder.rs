@@ -1,12 +1,12 @@
 //! The encoder's path for frames.
 
 use super::convolution::{Places, Then, convolve, spread};
-use super::{Gpu, Matrix, each, launch, slice, with_values};
+use super::{Gpu, Matrix, each, launch, not_on_cpu, slice, with_values};
 use crate::frames::Frames;
 use crate::stack::Side;
 use crate::{Arithmetic, Dropout, Stack, Values, input};
 use candle_core::cuda::cudarc::driver::CudaSlice;
-use candle_core::{CpuStorage, CudaStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
 use std::sync::{Arc, OnceLock};
 
 /// The same as [`crate::frame_encoder`], on a GPU.
@@ -69,9 +69,7 @@ impl CustomOp2 for FrameEncoder {
         "frame-encoder"
     }
 
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

@@ -1,12 +1,12 @@
 //! The decoder's path to frames, and their mean squared error.
 
 use super::convolution::{Places, Then, convolve, spread};
-use super::{Gpu, Matrix, blocks, column_sums, each, launch, slice, with_values};
+use super::{Gpu, Matrix, blocks, each, launch, not_on_cpu, slice, with_values, write_column_sums};
 use crate::FrameDecoder;
 use crate::frames::Frames;
 use crate::stack::Side;
 use candle_core::cuda::cudarc::driver::{CudaSlice, CudaView};
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use std::sync::{Arc, Mutex};
 
 /// The most blocks that sum squared errors.
@@ -76,17 +76,7 @@ impl CustomOp3 for FrameLoss {
         "frame-loss"
     }
 
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,
@@ -137,16 +127,15 @@ impl CustomOp3 for FrameLoss {
             bail!("the frame loss's gradients were already taken; run its forward pass again")
         };
         let mut of_packed = gpu.scratch(packed.elem_count())?;
-        let bias = with_values(packed, |packed| {
+        with_values(packed, |packed| {
             for ((index, layer), coarse) in stack.layers().iter().enumerate().zip(levels) {
                 let (grads, coarse) = (fine.as_view(), coarse.as_view());
                 places.gradients(&gpu, (index, layer), [&grads, &coarse, &grads], batch, &mut of_packed)?;
                 let [kernel, _] = places.split(packed, index);
                 fine = convolve(&gpu, layer, batch, &grads, &kernel, Then::mask(&gpu, &coarse))?;
             }
-            column_sums(&gpu, &fine.as_view(), outputs)
+            write_column_sums(&gpu, &fine.as_view(), &mut of_packed.slice_mut(places.end()..))
         })?;
-        gpu.0.memcpy_dtod(&bias, &mut of_packed.slice_mut(places.end()..))?;
         let (mut of_hidden, mut of_weight) = (gpu.scratch(batch * inputs)?, gpu.scratch(outputs * inputs)?);
         let grads = fine.as_view();
         with_values(weight, |weight| {

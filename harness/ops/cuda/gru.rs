@@ -1,10 +1,10 @@
 //! A gated recurrent unit over whole sequences.
 
 use super::recurrent::{Recurrence, Weight, recur, weight_gradient};
-use super::{Gpu, column_sums, slice, with_values};
+use super::{Gpu, column_sums, not_on_cpu, slice, with_values};
 use crate::{Arithmetic, Gated, linear};
 use candle_core::cuda::cudarc::driver::CudaSlice;
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use std::sync::OnceLock;
 
 /// The same as [`crate::gru`], on a GPU.
@@ -33,17 +33,7 @@ impl CustomOp3 for Gru {
         "gru"
     }
 
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

@@ -1,9 +1,9 @@
 //! A fully connected layer, with or without ReLU.
 
-use super::{Gpu, Matrix, column_sums, each, launch, slice, with_values};
+use super::{Gpu, Matrix, column_sums, each, launch, not_on_cpu, slice, with_values};
 use crate::Arithmetic;
 use candle_core::cuda::cudarc::driver::CudaView;
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp3, Layout, Result, Shape, Tensor};
 
 /// The same as [`crate::linear`], on a GPU.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {
@@ -20,17 +20,7 @@ impl CustomOp3 for Linear {
         "linear"
     }
 
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

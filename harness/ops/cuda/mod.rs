@@ -34,7 +34,7 @@ use candle_core::backend::BackendStorage;
 use candle_core::cuda::WrapErr;
 use candle_core::cuda::cudarc::cublas::{result::gemm_ex, sys as cublas};
 use candle_core::cuda::cudarc::driver::{
-    CudaFunction, CudaSlice, CudaStream, CudaView, DevicePtr, DevicePtrMut, LaunchConfig,
+    CudaFunction, CudaSlice, CudaStream, CudaView, CudaViewMut, DevicePtr, DevicePtrMut, LaunchConfig,
 };
 use candle_core::cuda::cudarc::driver::{result as driver, sys::CUmemPool_attribute};
 use candle_core::op::BackpropOp;
@@ -63,6 +63,19 @@ macro_rules! launch {
     }};
 }
 use launch;
+
+/// Defines the forward pass on the CPU, which a GPU op refuses: `not_on_cpu!(CpuStorage, CpuStorage)` for two arguments.
+macro_rules! not_on_cpu {
+    ($($storage:ident),+) => {
+        fn cpu_fwd(
+            &self,
+            $(_: &candle_core::$storage, _: &candle_core::Layout),+
+        ) -> candle_core::Result<(candle_core::CpuStorage, candle_core::Shape)> {
+            candle_core::bail!("a GPU op was given a tensor of the CPU")
+        }
+    };
+}
+use not_on_cpu;
 
 /// A GPU, on which memory is taken and kernels are launched.
 #[derive(Clone)]
@@ -273,13 +286,19 @@ fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&CudaView<f32>) -> Result<T
 
 /// Returns the sums of the columns of `values`, `[columns]`. The order of the additions is fixed.
 fn column_sums(gpu: &Gpu, values: &CudaView<f32>, columns: usize) -> Result<CudaSlice<f32>> {
-    let rows = values.len() / columns;
     let mut sums = gpu.scratch(columns)?;
+    write_column_sums(gpu, values, &mut sums.as_view_mut())?;
+    Ok(sums)
+}
+
+/// Writes the sums of the columns of `values`, of which there are as many as `sums`.
+fn write_column_sums(gpu: &Gpu, values: &CudaView<f32>, sums: &mut CudaViewMut<f32>) -> Result<()> {
+    let (rows, columns) = (values.len() / sums.len(), sums.len());
     let config = LaunchConfig {
         grid_dim: (columns.div_ceil(32) as u32, 1, 1),
         block_dim: (32, 32, 1),
         shared_mem_bytes: 0,
     };
-    launch!(gpu, VECTORS, "column_sums", config, values, &mut sums, &(rows as i32), &(columns as i32));
-    Ok(sums)
+    launch!(gpu, VECTORS, "column_sums", config, values, sums, &(rows as i32), &(columns as i32));
+    Ok(())
 }

@@ -1,8 +1,8 @@
 //! Layer normalization.
 
-use super::{Gpu, blocks, column_sums, launch, slice, with_values};
+use super::{Gpu, blocks, column_sums, launch, not_on_cpu, slice, with_values};
 use candle_core::cuda::cudarc::driver::CudaSlice;
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use std::sync::OnceLock;
 
 /// Returns the rows of `x` `[batch, width]`, each normalized to mean 0 and variance 1, multiplied by `weight` and added
@@ -25,17 +25,7 @@ impl CustomOp3 for Norm {
         "norm"
     }
 
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

@@ -1,8 +1,8 @@
 //! Sampling from a posterior, and its divergence from a prior.
 
-use super::{Gpu, blocks, each, launch, slice, with_values};
+use super::{Gpu, blocks, each, launch, not_on_cpu, slice, with_values};
 use candle_core::cuda::cudarc::driver::{CudaView, DevicePtr};
-use candle_core::{CpuStorage, CudaStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, bail};
 
 /// Number of threads in a block that sums all values.
 const SUM_BLOCK: usize = 1024;
@@ -39,9 +39,7 @@ impl CustomOp1 for Sample {
         "sample"
     }
 
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage);
 
     fn cuda_fwd(&self, posterior: &CudaStorage, layout: &Layout) -> Result<(CudaStorage, Shape)> {
         let (batch, width) = layout.shape().dims2()?;
@@ -167,9 +165,7 @@ impl CustomOp1 for Divergence {
         "divergence"
     }
 
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage);
 
     fn cuda_fwd(&self, posterior: &CudaStorage, layout: &Layout) -> Result<(CudaStorage, Shape)> {
         self.forward(&Gpu::with(posterior), &slice(posterior, layout)?, None, layout.shape().dims2()?)
@@ -186,9 +182,7 @@ impl CustomOp2 for Divergence {
         "balanced divergence"
     }
 
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

@@ -1,10 +1,10 @@
 //! The steps of a recurrent state-space model over whole sequences.
 
 use super::recurrent::{Recurrence, Weight, recur, weight_gradient};
-use super::{Gpu, Matrix, column_sums, slice, with_values};
+use super::{Gpu, Matrix, not_on_cpu, slice, with_values, write_column_sums};
 use crate::arguments::Sizes;
 use candle_core::cuda::cudarc::driver::{CudaSlice, CudaView, DeviceRepr};
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use std::ops::Range;
 use std::sync::OnceLock;
 
@@ -96,10 +96,8 @@ impl Rssm {
                 (Matrix::transposed(grad, rows, outputs), Matrix::plain(values, rows, columns));
             gpu.product(grad, values, &mut of_packed.slice_mut(wanted), false, arithmetic)?;
         }
-        let biases =
-            [(of_product, self.sizes.gates(), of_memory_bias), (of_distribution, distribution, of_bias)];
-        for (grad, columns, wanted) in biases {
-            gpu.0.memcpy_dtod(&column_sums(gpu, grad, columns)?, &mut of_packed.slice_mut(wanted))?;
+        for (grad, wanted) in [(of_product, of_memory_bias), (of_distribution, of_bias)] {
+            write_column_sums(gpu, grad, &mut of_packed.slice_mut(wanted))?;
         }
         Ok(())
     }
@@ -110,17 +108,7 @@ impl CustomOp3 for Rssm {
         "rssm"
     }
 
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage, CpuStorage, CpuStorage);
 
     fn cuda_fwd(
         &self,

@@ -1,9 +1,9 @@
 //! The mean losses of several quantities whose columns lie side by side.
 
-use super::{Gpu, each, launch, slice, with_values};
+use super::{Gpu, each, launch, not_on_cpu, slice, with_values};
 use crate::Quantity;
 use candle_core::cuda::cudarc::driver::{DeviceRepr, LaunchConfig};
-use candle_core::{CpuStorage, CudaStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CudaStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use harness_spec::Loss;
 
 /// The most quantities.
@@ -60,9 +60,7 @@ impl CustomOp1 for VectorLosses {
         "vector-losses"
     }
 
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        bail!("a GPU op was given a tensor of the CPU")
-    }
+    not_on_cpu!(CpuStorage);
 
     fn cuda_fwd(&self, predicted: &CudaStorage, layout: &Layout) -> Result<(CudaStorage, Shape)> {
         let (gpu, (batch, width)) = (Gpu::with(predicted), layout.shape().dims2()?);
