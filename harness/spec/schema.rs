@@ -6,8 +6,8 @@ use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
 use harness_yaml::{
-    Node, Problem, allow_single_values, check_against, choices, is_name, join, key_pattern, list_single,
-    properties, property, resolve, takes_one_item, types,
+    Node, Problem, allow_single_values, check_against, choices, is_like, is_name, join, key_pattern,
+    list_single, properties, property, resolve, takes_one_item, types,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
@@ -344,7 +344,7 @@ pub fn is_axis(name: &str) -> bool {
         });
         names.chain(sections).collect()
     });
-    let is_of_world = name.contains("_range") || name.ends_with("_clearance_m"); // as OF_OTHER_WORLDS
+    let is_of_world = OF_OTHER_WORLDS.iter().any(|pattern| is_like(&key_pattern(pattern), name));
     is_name(name) && !OTHERS.contains(&name) && !SETTINGS.contains(name) && !is_of_world
 }
 

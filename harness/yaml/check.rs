@@ -99,7 +99,7 @@ const DOT: &str = r"\.";
 const ANY: &str = "[a-z0-9_]*";
 
 /// Whether a dotted key matches a regular expression of [`key_pattern`], and each of its steps is a name.
-fn is_like(pattern: &str, key: &str) -> bool {
+pub fn is_like(pattern: &str, key: &str) -> bool {
     fn step_is_like(pattern: &str, step: &str) -> bool {
         match pattern.split_once(ANY) {
             None => pattern == step,
