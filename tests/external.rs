@@ -455,11 +455,47 @@ fn the_simulator_repeats_its_samples_from_a_rounded_state() {
     let again = succeed(&results, &[&["--threads", "2"], &judge(&[])[..]].concat());
     assert!(again.contains("the same predictions were judged before"), "{again}");
 
+    // What it does not know makes it worse: little errors little, and everything much.
+    let r2 = |more: &[&'static str], model: &str| {
+        let judged = judge(&[more, &["--restarts", "4"]].concat());
+        let first = succeed(&results, &[&["--threads", "1"], &judged[..]].concat());
+        assert!(first.contains(model), "{first}");
+        let again = succeed(&results, &[&["--threads", "2"], &judged[..]].concat());
+        assert!(again.contains("the same predictions were judged before"), "{again}");
+        let sql = format!(
+            "select value from all_metrics where metric = 'r2' and model = '{model}' and modality = 'contact_force'
+             and index is null and direction is null and horizon = 1"
+        );
+        let found = succeed(&results, &["query", &sql, "--format", "csv"]);
+        found.lines().nth(1).unwrap().parse::<f64>().unwrap()
+    };
+    let exact = r2(&["--error", "arm=0rad"], "simulator-arm-0rad");
+    let little = r2(&["--error", "arm=0.001deg"], "simulator-arm-0.001deg");
+    let much =
+        &["--error", "finger_joint_*=20deg", "--error", "box_*=9cm", "--error", "box_*=9deg", "--at-rest"];
+    let much = r2(much, "simulator-finger_joint_-20deg-box_-9cm-box_-9deg-at-rest");
+    let blind = r2(&["--without", "box_*"], "simulator-without-box_");
+    assert!(
+        exact > 0.9 && little > 0.9 && much < little - 0.1 && blind < 1.0,
+        "{exact} {little} {much} {blind}"
+    );
+
     let refused = |arguments: &[&str]| {
         let answer = finish(&mut harness(&results, arguments));
         assert_eq!((answer.code, &*answer.stdout), (2, ""), "{}", answer.stderr);
         answer.stderr
     };
+    for (option, value, message) in [
+        ("--error", "nothing=1deg", "'nothing' is not the name or a pattern of the names of a modality"),
+        ("--error", "finger_joint_*=1mm", "nothing in 'finger_joint_*' moves along an axis"),
+        ("--error", "arm=1", "write NAME=SIZE with a size in deg, rad, mm, cm or m"),
+        ("--without", "finger_link_03", "'finger_link_03' moves with others"),
+    ] {
+        let found = refused(&judge(&[option, value]));
+        assert!(found.contains(message), "{found}");
+    }
+    let of_file = refused(&[&["judge", SMOKE, "some.csv", "--error", "arm=1deg"], &asked[..]].concat());
+    assert!(of_file.contains("--error is for the word `simulator`"), "{of_file}");
     let image = refused(&judge(&["output=[frame_difference]"]));
     assert!(image.contains("frame_difference is an image or a change"), "{image}");
     let unnamed = refused(&[&["judge", SMOKE, "some.csv"], &asked[..]].concat());

@@ -14,6 +14,7 @@ use harness::experiment::{
 };
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord, quoted};
+use harness::simulation::{Knowledge, PositionError, SimulationError};
 use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality};
 use harness::tables::{PREDICTED_COLUMNS, TableError, read_predicted};
 use std::collections::BTreeMap;
@@ -57,6 +58,9 @@ pub enum TaskError {
         /// The command that collects them.
         command: String,
     },
+    /// Something is said of the simulator's knowledge, and the predictions are of another model.
+    #[error("{0} is for the word `simulator` instead of a file of predictions")]
+    NotSimulator(&'static str),
     /// The model has no name.
     #[error("the model has no name; give it one, for example --model my_gru")]
     NoModel,
@@ -94,7 +98,8 @@ pub struct Judge {
     #[arg(value_name = "SPEC")]
     path: PathBuf,
     /// The file of predictions: Parquet, or CSV if its name ends in .csv. `harness task` lists its columns. The word
-    /// `simulator` stands for what the simulator itself predicts from the state at each sample, rounded to f32
+    /// `simulator` stands for what the simulator itself predicts from the state at each sample, rounded to f32, or as
+    /// far as --error, --without and --at-rest say that it is known
     #[arg(value_name = "PREDICTIONS")]
     predictions: PathBuf,
     /// Settings to change, as for `harness run`
@@ -103,9 +108,12 @@ pub struct Judge {
     /// Use the spec's `quick` settings, as for `harness run`
     #[arg(long)]
     quick: bool,
-    /// Name of the model in tables: letters, digits, '_', '-' and '.' [default for the simulator: simulator]
-    #[arg(long, value_name = "NAME", default_value_if("predictions", SIMULATOR, SIMULATOR))]
+    /// Name of the model in tables: letters, digits, '_', '-' and '.' [default for the simulator: simulator, and what
+    /// it does not know]
+    #[arg(long, value_name = "NAME")]
     model: Option<String>,
+    #[command(flatten)]
+    known: Known,
     /// Seed of the model's training
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -122,6 +130,55 @@ pub struct Judge {
     network: Option<PathBuf>,
 }
 
+/// How well the simulator knows the state at each sample.
+#[derive(Args)]
+struct Known {
+    /// For `simulator`: an error of the positions of a modality, joints or bodies, with its standard deviation in deg,
+    /// rad, mm, cm or m; may be given several times
+    #[arg(long = "error", value_name = "NAME=SIZE", value_parser = str::parse::<PositionError>)]
+    errors: Vec<PositionError>,
+    /// For `simulator`: freely moving bodies that it knows nothing of, by name or pattern; may be given several times
+    #[arg(long, value_name = "BODY")]
+    without: Vec<String>,
+    /// For `simulator`: it starts with all velocities at 0
+    #[arg(long)]
+    at_rest: bool,
+    /// For `simulator`: number of simulations from each sample, each with other errors. The prediction is their mean
+    /// [default: 16 with --error, else 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    restarts: Option<u16>,
+}
+
+impl Known {
+    /// The first of the options that was given.
+    fn given(&self) -> Option<&'static str> {
+        let given = [
+            ("--error", !self.errors.is_empty()),
+            ("--without", !self.without.is_empty()),
+            ("--at-rest", self.at_rest),
+            ("--restarts", self.restarts.is_some()),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+
+    /// The usual name of the simulator that knows this: `simulator-arm-0.5deg`.
+    fn name(&self) -> String {
+        let errors = self.errors.iter().map(|error| error.text.clone());
+        let without = self.without.iter().map(|body| format!("without-{body}"));
+        let parts = errors.chain(without).chain(self.at_rest.then(|| "at-rest".to_owned()));
+        let allowed = |c: char| if c == '=' { '-' } else { c };
+        let parts = parts.map(|part| {
+            part.chars().map(allowed).filter(|c| c.is_ascii_alphanumeric() || "_-.".contains(*c)).collect()
+        });
+        [SIMULATOR.to_owned()].into_iter().chain(parts).collect::<Vec<String>>().join("-")
+    }
+
+    fn knowledge(self) -> Knowledge {
+        let restarts = self.restarts.map_or(if self.errors.is_empty() { 1 } else { 16 }, usize::from);
+        Knowledge { errors: self.errors, at_rest: self.at_rest, without: self.without, restarts }
+    }
+}
+
 fn note(text: &str) -> Result<(String, String), String> {
     let (name, note) = text.split_once('=').ok_or("write NAME=TEXT, such as commit=ab12cd3")?;
     Ok((name.trim().to_owned(), note.to_owned()))
@@ -131,7 +188,12 @@ impl Judge {
     /// Judges the predictions, writes the run, and prints its metrics.
     pub fn execute(self, registry: &Registry, threads: usize) -> Result<ExitCode> {
         let spec = Spec { path: self.path, overrides: self.overrides, quick: self.quick };
-        let model = self.model.ok_or(TaskError::NoModel)?;
+        let is_simulator = self.predictions.to_str() == Some(SIMULATOR);
+        if let Some(option) = self.known.given().filter(|_| !is_simulator) {
+            return Err(TaskError::NotSimulator(option).into());
+        }
+        let model =
+            self.model.or_else(|| is_simulator.then(|| self.known.name())).ok_or(TaskError::NoModel)?;
         let experiment = spec.load_task()?;
         let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
         let runner = Runner::new(registry, threads, &provenance, &bars);
@@ -141,9 +203,9 @@ impl Judge {
             let (dataset, command) = (task.dataset().name().to_owned(), collect(registry, &spec));
             return Err(TaskError::NotCollected { dataset, missing, command }.into());
         }
-        let predictions = match self.predictions.to_str() {
-            Some(SIMULATOR) => Predictions::Simulated,
-            _ => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
+        let predictions = match is_simulator {
+            true => Predictions::Simulated(self.known.knowledge()),
+            false => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
         };
         registry.check_writable()?;
         interrupt::install()?;
@@ -282,5 +344,9 @@ pub fn is_usage(error: &anyhow::Error) -> bool {
     let is_wrong = |error: &SubmissionError| !matches!(error, SubmissionError::Held { .. });
     error.is::<TaskError>()
         || matches!(error.downcast_ref(), Some(ExperimentError::Simulator(_)))
+        || matches!(
+            error.downcast_ref(),
+            Some(ExperimentError::Simulation(SimulationError::Unsuitable { .. }))
+        )
         || matches!(error.downcast_ref(), Some(ExperimentError::Submission(error)) if is_wrong(error))
 }

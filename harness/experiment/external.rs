@@ -10,6 +10,7 @@ use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;
 use harness_shared::progress::Progress;
 use harness_shared::seal::hex;
+use harness_simulation::Knowledge;
 use harness_spec::{
     Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task, WindowStart,
 };
@@ -230,8 +231,8 @@ impl OpenTask {
         let of_windows = |values| Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong);
         let recorded = match predictions {
             Predictions::Windows(values) => vec![of_windows(values)?],
-            Predictions::Simulated => {
-                vec![of_windows(simulated(&self.task.source, spec, samples, windows, progress)?)?]
+            Predictions::Simulated(known) => {
+                vec![of_windows(simulated(&self.task.source, spec, samples, windows, &known, progress)?)?]
             }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
@@ -289,8 +290,8 @@ pub enum Predictions {
     Rows(PredictedRows),
     /// All values of a modality at a horizon, `[windows, width]` in physical units; images channel by channel.
     Windows(BTreeMap<(Modality, usize), Vec<f32>>),
-    /// Those of the simulator itself, from the state at each present sample, rounded to f32.
-    Simulated,
+    /// Those of the simulator itself, from the state at each present sample, rounded to f32, as far as it is known.
+    Simulated(Knowledge),
 }
 
 /// A model of another program with its predictions.

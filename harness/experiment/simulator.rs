@@ -1,10 +1,10 @@
-//! What the simulator itself predicts: an upper bound for any model of the same samples.
+//! What the simulator itself predicts: an upper bound for any model that knows as much of the state.
 
 use super::{ExperimentError, Source};
 use harness_dataset::{AnyDataset, Dataset};
 use harness_samples::{Sample, Samples};
 use harness_shared::progress::Progress;
-use harness_simulation::{Scene, SimulatedOn, simulate_on};
+use harness_simulation::{Knowledge, Scene, SimulatedOn, simulate_on};
 use harness_spec::{Episode, Modality, RunSpec};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -37,7 +37,8 @@ pub enum SimulatorError {
 }
 
 /// Simulates the outputs of `spec` at each horizon, from the state at each of the present samples `windows`, rounded to
-/// f32. Returns `[windows, width]` in physical units. Episodes are simulated in parallel.
+/// f32 and as far as it is `known`. Returns `[windows, width]` in physical units, which are means over the restarts.
+/// Episodes are simulated in parallel.
 ///
 /// # Errors
 /// When the dataset is not simulated, an output is not sensed, or the simulation differs from the dataset.
@@ -46,6 +47,7 @@ pub(super) fn simulated(
     spec: &RunSpec,
     samples: &Samples,
     windows: &[Sample],
+    known: &Knowledge,
     progress: &dyn Progress,
 ) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
     let Source { dataset, scene } = source;
@@ -66,7 +68,7 @@ pub(super) fn simulated(
         if progress.cancelled() {
             return Err(ExperimentError::Cancelled);
         }
-        let episodes = simulate_from(scene, dataset, samples, windows, &horizons)?;
+        let episodes = simulate_from(scene, dataset, samples, windows, &horizons, known)?;
         progress.advance(1);
         Ok(episodes)
     });
@@ -76,7 +78,10 @@ pub(super) fn simulated(
     for episodes in &simulated {
         for (episode, &horizon) in episodes.iter().zip(&horizons) {
             for &modality in &spec.output {
-                values.entry((modality, horizon)).or_default().extend(episode.vector(modality));
+                let width = dataset.layout()[modality].width();
+                let values = values.entry((modality, horizon)).or_default();
+                let of_samples = episode.vector(modality).chunks_exact(width * known.restarts);
+                of_samples.for_each(|restarts| values.extend(mean(restarts, width)));
             }
         }
     }
@@ -90,10 +95,12 @@ fn simulate_from(
     samples: &Samples,
     at: &[Sample],
     horizons: &[usize],
+    known: &Knowledge,
 ) -> Result<Vec<Episode>, ExperimentError> {
     let (place, _) = samples.place(at[0]);
     let within: Vec<usize> = at.iter().map(|sample| samples.place(*sample).1).collect();
-    let SimulatedOn { present, ahead } = simulate_on(scene, dataset.spec(), place as u32, &within, horizons)?;
+    let SimulatedOn { present, ahead } =
+        simulate_on(scene, dataset.spec(), place as u32, &within, horizons, known)?;
     let is_same = |modality: Modality| {
         let stored = at.iter().flat_map(|sample| samples.vector(modality, *sample));
         present.vector(modality).iter().eq(stored)
@@ -103,4 +110,13 @@ fn simulate_from(
         return Err(SimulatorError::Differs { episode, dataset }.into());
     }
     Ok(ahead)
+}
+
+/// Returns the mean of rows of `width` values.
+fn mean(rows: &[f32], width: usize) -> impl Iterator<Item = f32> {
+    let restarts = (rows.len() / width) as f64;
+    (0..width).map(move |column| {
+        let sum: f64 = rows.iter().skip(column).step_by(width).map(|value| f64::from(*value)).sum();
+        (sum / restarts) as f32
+    })
 }

@@ -1,6 +1,7 @@
 //! The simulation loop: moves the actuators and passes each sampled instant to an observer.
 
 use super::SimulationError;
+use super::knowledge::Known;
 use super::load::can_sleep;
 use super::motion::Probe;
 use super::noise::Noise;
@@ -13,7 +14,14 @@ use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::fun::utility::{mju_mat_2_quat, mju_mul_pose, mju_neg_pose};
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
+
+/// Largest number of steps in which contacts push apart what overlaps because of errors.
+const PUSHING_STEPS: usize = 100;
+
+/// The overlap that is always left, m.
+const SLACK_M: f64 = 0.001;
 
 /// The simulation of one scene on one thread.
 pub(super) struct Physics<'s> {
@@ -141,6 +149,11 @@ fn is_runge_kutta(model: &MjModel) -> bool {
 /// the trees that it touches.
 fn may_fall_asleep(data: &MjData<Arc<MjModel>>) -> bool {
     data.tree_asleep().iter().any(|tree| (-2..0).contains(tree))
+}
+
+/// Returns by how much two surfaces overlap at most, m.
+fn deepest_m(data: &MjData<Arc<MjModel>>) -> f64 {
+    data.contact().iter().map(|contact| -contact.dist).fold(0.0, f64::max)
 }
 
 /// Receives each sampled instant, and the state whose derived quantities (such as the poses for the camera) belong to
@@ -377,6 +390,30 @@ impl<'s> Physics<'s> {
         self.mean.clone_from(&other.mean);
         self.setpoint.clone_from(&other.setpoint);
         self.instant.state.clone_from(&other.instant.state);
+    }
+
+    /// Adds errors to the state, as far as it is not known. Where they let surfaces overlap more than before, the
+    /// contacts push them apart first: in up to [`PUSHING_STEPS`] steps without time and velocity.
+    pub fn err(&mut self, known: &Known, rng: &mut ChaCha8Rng) {
+        self.data.step1();
+        let allowed_m = deepest_m(&self.data).max(SLACK_M);
+        let (velocities, states) = (self.data.qvel().to_vec(), self.data.act().to_vec());
+        let time_s = self.data.time();
+        known.err(self.data.qpos_mut(), rng);
+        for _ in 0..PUSHING_STEPS {
+            self.data.qvel_mut().fill(0.0);
+            self.data.step1();
+            if deepest_m(&self.data) <= allowed_m {
+                break;
+            }
+            self.data.step2();
+        }
+        match known.at_rest() {
+            true => self.data.qvel_mut().fill(0.0),
+            false => self.data.qvel_mut().copy_from_slice(&velocities),
+        }
+        self.data.act_mut().copy_from_slice(&states);
+        self.data.set_time(time_s);
     }
 
     fn command(&mut self) {

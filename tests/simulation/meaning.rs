@@ -3,7 +3,7 @@
 
 use super::parts::{run, scene, vector};
 use harness_simulation::{
-    Episode, EpisodePlan, Scene, SceneRenderer, draft_world, notes, replay, simulate_on,
+    Episode, EpisodePlan, Knowledge, Scene, SceneRenderer, draft_world, notes, replay, simulate_on,
 };
 use harness_spec::{Modality, Scenario, Simulation, World};
 use mujoco_rs::prelude::*;
@@ -227,7 +227,7 @@ fn a_body_sleeps_on_where_a_simulation_goes_on_from_a_sample() {
     let spec = Simulation { actuations_per_episode: 2, ..beside.world().simulation() };
     let episode = run(&beside, 2);
     let at: Vec<usize> = (8..12).collect();
-    let found = simulate_on(&beside, &spec, 0, &at, &[1, 5]).unwrap();
+    let found = simulate_on(&beside, &spec, 0, &at, &[1, 5], &Knowledge::default()).unwrap();
     for (ahead, horizon) in found.ahead.iter().zip([1, 5]) {
         let [one, other] = [vector(ahead, "force"), &vector(&episode, "force")[3 * (8 + horizon)..][..12]];
         assert_eq!(one, other);
