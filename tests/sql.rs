@@ -1,6 +1,6 @@
 //! SQL queries are answered as the standard says, or refused with a message that says what to write instead.
 
-use crate::common::{finish, harness, succeed};
+use crate::common::{finish, harness, published_without, succeed};
 use harness::catalog::{query, query_recorded, save};
 use harness::registry::{Recorded, Registry};
 use harness::sql::{Condition, implies};
@@ -8,9 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-fn reference() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference")
-}
+/// Most of the published results.
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| published_without(&["memory", "paper", "readings"], "sql"));
 
 /// An entry of tests/sql/corpus.sql.
 struct Entry {
@@ -40,9 +39,9 @@ fn corpus() -> Vec<Entry> {
     entries
 }
 
-/// The published results, whose records are read once.
+/// These results, whose records are read once.
 static PUBLISHED: LazyLock<(Registry, Vec<Recorded>)> = LazyLock::new(|| {
-    let registry = Registry::new(reference());
+    let registry = Registry::new(&*RESULTS);
     let runs = registry.recorded();
     (registry, runs)
 });
@@ -77,7 +76,7 @@ fn every_query_of_the_corpus_agrees_with_duckdb() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let script = root.join("tests/python/compare_sql.py");
     let output =
-        Command::new(root.join(".venv/bin/python")).arg(script).arg(reference()).arg(folder.path()).output();
+        Command::new(root.join(".venv/bin/python")).arg(script).arg(&*RESULTS).arg(folder.path()).output();
     let output = output.expect("the virtual environment of the tests is there: `make test` sets it up");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let differences: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
@@ -133,21 +132,20 @@ fn columns_without_a_name_have_the_name_of_what_they_are() {
 
 #[test]
 fn tables_and_their_columns_can_be_listed() {
-    let results = reference();
     for sql in ["show tables", "SHOW TABLES;"] {
-        let printed = succeed(&results, &["query", sql]);
+        let printed = succeed(&RESULTS, &["query", sql]);
         for table in harness::schema::Table::ALL {
             assert!(printed.contains(table.name()) && printed.contains(table.meaning()), "{printed}");
         }
     }
     for sql in ["describe metrics", "DESC metrics;", "show columns from metrics"] {
-        let printed = succeed(&results, &["query", sql]);
+        let printed = succeed(&RESULTS, &["query", sql]);
         for column in harness::schema::Table::Metrics.columns() {
             assert!(printed.contains(&column.name) && printed.contains(&*column.unit), "{sql}: {printed}");
         }
         assert!(printed.contains("integer") && printed.contains("null if it is not defined"), "{printed}");
     }
-    let refused = finish(&mut harness(&results, &["query", "describe metric"]));
+    let refused = finish(&mut harness(&RESULTS, &["query", "describe metric"]));
     assert_eq!(refused.code, 2);
     assert!(
         refused.stderr.contains("there is no table 'metric'; did you mean 'metrics'?"),
@@ -173,7 +171,7 @@ fn a_text_without_quotes_is_named_with_them() {
 fn an_answer_is_written_to_a_folder_that_is_not_there_yet() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a/b/answer.csv");
-    succeed(&reference(), &["query", "select run from runs limit 2", "-o", path.to_str().unwrap()]);
+    succeed(&RESULTS, &["query", "select run from runs limit 2", "-o", path.to_str().unwrap()]);
     assert_eq!(std::fs::read_to_string(path).unwrap().lines().count(), 3);
 }
 
@@ -240,9 +238,9 @@ fn a_query_takes_no_more_memory_than_its_joins_may_have() {
 
 #[test]
 fn bytes_are_shown_as_their_number_and_saved_only_as_parquet() {
-    let shown = succeed(&reference(), &["query", "select reference from frames limit 1"]);
+    let shown = succeed(&RESULTS, &["query", "select reference from frames limit 1"]);
     assert!(shown.contains(" bytes"), "{shown}");
-    let mut answer = query(&Registry::new(reference()), "select run, reference from frames limit 2").unwrap();
+    let mut answer = query(&Registry::new(&*RESULTS), "select run, reference from frames limit 2").unwrap();
     let folder = tempfile::tempdir().unwrap();
     save(&mut answer, &folder.path().join("answer.parquet")).unwrap();
     for name in ["answer.csv", "answer.json"] {
