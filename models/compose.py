@@ -31,7 +31,9 @@ JOINT_DAMPING = 3.0  # N m s/rad, with which the released finger settles fastest
 JOINT_ARMATURE = 1e-3  # kg m2, keeps the explicit integration of the joint springs stable at 1 kHz
 JOINT_RANGE = math.radians(60)  # rad, to either side
 FINGER_FRICTION = 0.8  # sliding, as of rubber on a floor
-FINGER_SOLIMP = (0, 0.95, 0.01, 0.5, 2)  # a soft skin: the contact's stiffness grows from zero over 0.01 m
+# Stiff, so that links do not sink into what they touch, and overdamped, so that they do not bounce: time constant (s) and
+# damping ratio. The impedance is MuJoCo's default.
+FINGER_SOLREF = (0.003, 1.5)
 
 # Arm: cylindrical (rotation, lift, extension). The ranges are the paper's.
 ROTATION_RANGE = (0.75 * math.pi, 1.25 * math.pi)  # rad
@@ -39,7 +41,7 @@ LIFT_RANGE = (-1.0, 0.0)  # m
 EXTENSION_RANGE = (0.0, 1.5)  # m
 ROTATION_REST = math.pi  # rad, the middle of the range: the arm points along -x
 MOUNT_RADIUS = 0.7  # m, from the shaft to the finger at extension 0
-MOUNT_HEIGHT = 1.5  # m, of the first hinge at lift 0: the last link ends 0.5 m above the ground
+TIP_HEIGHT = 0.5  # m, of the hanging finger's end at lift 0
 SHAFT_MASS = 5.0  # kg
 CARRIAGE_MASS = 2.0  # kg
 BEAM_MASS = 1.0  # kg
@@ -48,9 +50,13 @@ BEAM_MASS = 1.0  # kg
 ROTATION_GAINS = (3e5, 2e3)  # N m/rad, N m s/rad
 LIFT_GAINS = (3e5, 2e3)  # N/m, N s/m
 EXTENSION_GAINS = (1.2e5, 800)  # N/m, N s/m
+# The limit makes the arm give way where the finger can't bend further, as a robot does that may touch people. The
+# damping keeps the arm from overshooting when the finger comes free.
+ARM_LIMIT = 60.0  # N, N m
+ARM_DAMPING = 20.0  # N s/m, N m s/rad
 
 # Boxes of the cluttered scene.
-BOX_SIZE = (0.24, 0.24, 0.30)  # m, full side lengths
+BOX_SIZE = (0.30, 0.30, 0.40)  # m, full side lengths
 BOX_MASS = 1.0  # kg
 BOX_FRICTION = 0.5  # sliding, against the ground and each other
 BOX_PARKING = [(radius, math.radians(angle)) for radius in (1.05, 1.75) for angle in (147, 169, 191, 213)]
@@ -116,9 +122,9 @@ def finger(mount, joints=JOINTS, tendons=False):
         fromto=(0, 0, 0, 0, 0, -LINK_LENGTH),
         size=[LINK_RADIUS],
         mass=LINK_MASS,
-        priority=1,  # contacts use the finger's friction and softness, not those of the other body
+        priority=1,  # contacts use the finger's friction and stiffness, not those of the other body
         friction=[FINGER_FRICTION],
-        solimp=FINGER_SOLIMP,
+        solref=FINGER_SOLREF,
         contype=FINGER_BIT,
         conaffinity=0,
     )
@@ -159,13 +165,14 @@ def link_rgba(link, joints=JOINTS):
     return [shade * ((1 - place) * base + place * tip) for base, tip in zip(BASE_RGB, TIP_RGB)] + [1]
 
 
-def arm(world):
-    """Adds the arm with its actuators at the world's origin. Returns the beam, to which the finger is mounted.
+def arm(world, finger_length):
+    """Adds the arm with its actuators at the world's origin. Returns the beam, to which a finger of this length is mounted.
 
     In the rest pose the arm points along -x, with rotation `ROTATION_REST`, lift 0 and extension 0.
     """
     defaults = world.root.default.add("default", dclass="arm")
     defaults.geom.set_attributes(rgba=ARM_RGBA, contype=0, conaffinity=0)
+    defaults.joint.damping = [ARM_DAMPING]
     world.add(
         "geom",
         name="arm_column",
@@ -178,7 +185,7 @@ def arm(world):
     shaft = world.add("body", name="arm_shaft", childclass="arm", euler=(0, 0, ROTATION_REST), gravcomp=1)
     shaft.add("joint", name="arm_rotation", type="hinge", axis=(0, 0, 1), ref=ROTATION_REST)
     shaft.add("geom", name="arm_shaft", type="cylinder", size=(0.05, 0.7), pos=(0, 0, 1.0), mass=SHAFT_MASS)
-    carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, MOUNT_HEIGHT), gravcomp=1)
+    carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, TIP_HEIGHT + finger_length), gravcomp=1)
     carriage.add("joint", name="arm_lift", type="slide", axis=(0, 0, 1))
     carriage.add("geom", name="arm_carriage", type="box", size=(0.12, 0.09, 0.09), mass=CARRIAGE_MASS)
     # Only visual: covers the beam's rear end at full extension.
@@ -194,7 +201,8 @@ def arm(world):
         ("arm_extension", EXTENSION_GAINS, EXTENSION_RANGE),
     ):
         kp, kv = gains
-        actuators.add("position", name=joint, joint=joint, kp=kp, kv=kv, ctrlrange=ctrlrange)
+        limits = {"ctrlrange": ctrlrange, "forcerange": (-ARM_LIMIT, ARM_LIMIT)}
+        actuators.add("position", name=joint, joint=joint, kp=kp, kv=kv, **limits)
     return beam
 
 
@@ -267,11 +275,11 @@ def scene(name):
         contype=0,
         conaffinity=FINGER_BIT | BOX_BIT,
     )
-    beam = arm(world)
-    finger(beam, FEWER_JOINTS if name == "twelve" else JOINTS, tendons=name == "tendon")
-    if name in ("wrist", "twelve", *CROWDED):
-        axes = look_at(WRIST_POSITION, WRIST_TARGET)
-        beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
+    joints = FEWER_JOINTS if name == "twelve" else JOINTS
+    beam = arm(world, joints * LINK_LENGTH)
+    finger(beam, joints, tendons=name == "tendon")
+    axes = look_at(WRIST_POSITION, WRIST_TARGET)
+    beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)
     if name in ("cluttered", "wrist", *CROWDED):
         root.option.flag.sleep = "enable"  # objects at rest take no time; the actuated arm never sleeps
     if name in ("cluttered", "wrist"):

@@ -1,11 +1,11 @@
 """Measures the values in the section "Measured" of models/README.md, and prints them as Markdown tables.
 
-    .venv/bin/python models/measure.py             # all tables
-    .venv/bin/python models/measure.py settling    # one table; --help lists all
+    .venv/bin/python models/measure.py                           # all tables
+    .venv/bin/python models/measure.py settling                  # one table; --help lists all
+    .venv/bin/python models/measure.py criteria empty cluttered  # the criteria of two worlds
 
-The table `contacts` is computed from datasets that the package `harness` collects in a temporary folder. For the other
-tables, the models in this folder are changed and simulated with MuJoCo's Python package. The tables `stepping` and
-`rendering` contain rates, which depend on the machine. Of all other tables, every call prints the same.
+The models in this folder are changed and simulated with MuJoCo's Python package. `rendering` and the speed in `criteria`
+depend on the machine. Of all others, every call prints the same.
 
 All values are in SI units, angles in radians.
 """
@@ -13,12 +13,12 @@ All values are in SI units, angles in radians.
 import argparse
 import os
 import pathlib
-import tempfile
 import time
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa then renders on the calling thread
 
-import harness  # before MuJoCo, because it makes Mesa render on the calling thread
+import criteria as fitness
 import mujoco
 import numpy as np
 
@@ -31,8 +31,6 @@ LINKS = [f"finger_link_{link:02}" for link in range(20)]  # base to tip
 JOINTS = [f"finger_joint_{joint:02}" for joint in range(20)]
 LINK_END = (0, 0, -0.05)  # m, in the link's frame
 
-EPISODES, ACTUATIONS = 50, 20  # of each scene's dataset
-
 MASSES = (0.01, 0.02, 0.05)  # kg, of a link
 DAMPINGS = (1, 2, 2.5, 3, 3.5, 4, 6)  # N m s/rad, of a joint
 BENDING_FORCE = (8, 0, 0)  # N, at the tip, along the arm
@@ -40,17 +38,10 @@ BENDING_DAMPING = 6  # N m s/rad, with which even the heaviest finger is at rest
 BENDING_STEPS = RELEASE_STEPS = 10_000
 SETTLED = 0.05  # of the tip's deflection
 
-DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2)  # MuJoCo's
-DRAG_MOVES = 100
-DRAG_LIFT = -0.7  # m, at which the straight finger would reach 0.25 m into the ground
-
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 CONE_MOVES = 1000
 
 MODE_STEP = 1e-6  # rad, by which joints are moved to find the change of the forces
-
-STEPPING_MOVES = 20
-STEPPING_ROUNDS = 3
 
 POSES = 100  # random poses of the arm, of which frames are rendered
 RENDERING_ROUNDS = 5
@@ -128,47 +119,6 @@ def print_table(header, rows):
     print(first, "|" + "---|" * len(header), *others, "", sep="\n", flush=True)
 
 
-def contacts():
-    """Prints contacts, forces, the largest joint angle and the arm's lag in a dataset of each scene."""
-    settings = {
-        "scenarios": SCENES,
-        "simulation.seed": SEED,
-        "simulation.episodes": EPISODES,
-        "simulation.actuations_per_episode": ACTUATIONS,
-    }
-    with tempfile.TemporaryDirectory() as results:
-        folders = harness.collect("smoke", settings, results=results, progress=False)
-        datasets = [harness.Dataset(folder, frames=False) for folder in folders]
-    columns = [dataset_values(data) for data in datasets]
-    rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    print_table(["", *(data.scenario for data in datasets)], rows)
-
-
-def dataset_values(data):
-    """Returns the values of a dataset as text, by description."""
-    force, mean_force = data["contact_force"], data["contact_force_mean"]
-    touched = force > 0
-    instant, interval = touched.any(axis=1).mean(), (mean_force > 0).any(axis=1).mean()
-    of_samples = touched.mean(axis=0)
-    nearest = LINKS[touched.any(axis=0).argmax()]
-    last_link = force[touched[:, -1], -1]
-    correlation = np.corrcoef(force[:, -1], mean_force[:, -1])[0, 1]
-    angle = np.abs(data["proprioception"]).max()
-    rotation, lift, extension = np.abs(data["arm"] - data["setpoint"]).max(axis=0)
-    return {
-        "samples with contact at the instant / during the interval": f"{percent(instant)} / {percent(interval)}",
-        "samples in which the last link is touched": percent(of_samples[-1]),
-        "samples in which the 2nd, 3rd, 5th, 9th link from the tip is touched": percent(*of_samples[[-2, -3, -5, -9]]),
-        "the link nearest to the base that was touched": f"`{nearest}`",
-        "force on the touched last link: median, 95 %, 99 %, maximum": quantiles(last_link),
-        "correlation of instantaneous and mean force, last link": f"{correlation:.2f}",
-        "largest joint angle": f"{angle:.2f} rad",
-        "largest distance of the arm from its setpoint at a sample": (
-            f"{rotation:.3f} rad, {lift:.3f} m, {extension:.3f} m"
-        ),
-    }
-
-
 def settling():
     """Prints how fast the released finger settles with different dampings and masses."""
     own = load("empty")
@@ -218,39 +168,6 @@ def release(mass, damping):
     seconds = (np.flatnonzero(distances > SETTLED * deflection)[-1] + 1) * model.opt.timestep
     along = offsets @ offsets[0] / deflection**2
     return deflection, seconds, max(0, -along.min())
-
-
-def softness():
-    """Prints how often the contact of the dragged tip breaks, and how much its force changes from step to step."""
-    own = tuple(load("empty").geom(LINKS[-1]).solimp)
-    rows = []
-    for name, solimp in (("MuJoCo's default", DEFAULT_SOLIMP), ("the models'", own)):
-        breaks, change = drag(solimp)
-        text = " ".join(f"{value:g}" for value in solimp)
-        rows.append([
-            f"{name}: {text}",
-            f"{breaks.mean():.1f}, {breaks.max()}",
-            percent(np.median(change), change.max()),
-        ])
-    print_table(["`solimp`", "breaks in a move: mean, maximum", "change of the force: median, maximum"], rows)
-
-
-def drag(solimp):
-    """Drags the tip over the ground with this `solimp` of the finger.
-
-    Returns two values of each move: the number of steps in which the contact of the last link breaks, and the mean
-    change of its force from one step to the next, as a share of the mean force.
-    """
-    spec = load("empty")
-    for link in LINKS:
-        spec.geom(link).solimp = solimp
-    model = spec.compile()
-    setpoints = random_setpoints(model, DRAG_MOVES + 1)
-    setpoints[1:, model.actuator("arm_lift").id] = DRAG_LIFT
-    forces = last_link_forces(model, setpoints)[1:]  # the first move lowers the finger
-    breaks = (forces[:, :-1] > 0) & (forces[:, 1:] == 0)
-    change = np.abs(np.diff(forces)).mean(axis=1) / forces.mean(axis=1)
-    return breaks.sum(axis=1), change
 
 
 def cones():
@@ -328,25 +245,6 @@ def mode_rates(model):
     return np.sqrt(squares.real)
 
 
-def stepping():
-    """Prints how many steps a core simulates in a second, and the solver's iterations, with and without sleeping."""
-    rows = []
-    for scene in SCENES:
-        for name, flags in (("on", int(mujoco.mjtEnableBit.mjENBL_SLEEP)), ("off", 0)):
-            model = load(scene).compile()
-            model.opt.enableflags = flags
-            setpoints = random_setpoints(model, STEPPING_MOVES)
-            times, iterations = [], []
-            for _ in range(STEPPING_ROUNDS):
-                data = at_rest(model)
-                start = time.thread_time()
-                iterations = [data.solver_niter[: max(1, data.nisland)].max() for _ in move(model, data, setpoints)]
-                times.append(time.thread_time() - start)
-            rate = len(iterations) / min(times)
-            rows.append([scene, name, f"{rate:,.0f}", f"{np.mean(iterations):.2f}"])
-    print_table(["", "sleeping", "steps in a second", "iterations of the solver in a step: mean"], rows)
-
-
 def rendering():
     """Prints how many frames a core renders in a second with the models' settings, and with one of them changed."""
 
@@ -418,19 +316,33 @@ def with_touch_sensors(scene):
         )
     return spec.compile()
 
+def criteria(worlds=fitness.WORLDS):
+    """Prints whether worlds are fit for learning, and what describes their contacts."""
+    print_table(*fitness.criteria(worlds))
 
-TABLES = {
-    function.__name__: function
-    for function in (contacts, settling, softness, cones, sensors, modes, stepping, rendering)
-}
+
+def tried(worlds=fitness.WORLDS):
+    """Prints which criteria failed with the values that were tried."""
+    print_table(*fitness.tried(worlds))
+
+
+OF_WORLDS = {"criteria": criteria, "tried": tried}
+TABLES = {**OF_WORLDS, **{function.__name__: function for function in (settling, cones, sensors, modes, rendering)}}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", nargs="?", choices=TABLES, help="the table to print; all if none is given")
-    table = parser.parse_args().table
-    for function in [TABLES[table]] if table else TABLES.values():
-        function()
+    parser.add_argument("worlds", nargs="*", metavar="world", help=f"for {' and '.join(OF_WORLDS)} [default: all]")
+    options = parser.parse_args()
+    unknown = set(options.worlds) - set(fitness.WORLDS)
+    if unknown or (options.worlds and options.table not in OF_WORLDS):
+        parser.error(f"worlds are {', '.join(fitness.WORLDS)}, and only {' and '.join(OF_WORLDS)} take them")
+    if options.worlds:
+        OF_WORLDS[options.table](options.worlds)
+    else:
+        for function in [TABLES[options.table]] if options.table else TABLES.values():
+            function()
 
 
 if __name__ == "__main__":
