@@ -42,6 +42,7 @@ EXTENSION_RANGE = (0.0, 1.5)  # m
 ROTATION_REST = math.pi  # rad, the middle of the range: the arm points along -x
 MOUNT_RADIUS = 0.7  # m, from the shaft to the finger at extension 0
 TIP_HEIGHT = 0.5  # m, of the hanging finger's end at lift 0
+FEWER_TIP_HEIGHT = 0.6  # m, of the scene `twelve`
 SHAFT_MASS = 5.0  # kg
 CARRIAGE_MASS = 2.0  # kg
 BEAM_MASS = 1.0  # kg
@@ -87,6 +88,8 @@ WRIST_FOVY = 50  # degrees
 # of its direction by 100 N x 0.045 m / 20 N m/rad = 0.23 rad.
 TENDONS = {"front": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 TENDON_FORCE = (0.0, 100.0)  # N
+# Tendons and sites of this group are not drawn, so that images show the same finger as without them and take no longer.
+HIDDEN = 3
 
 # m, the visible ground. For collisions the ground is infinite. With a visible infinite ground, a frame takes 3 times as
 # long.
@@ -142,8 +145,7 @@ def finger(mount, joints=JOINTS, tendons=False):
         guide(body, f"link_{link:02}", -LINK_LENGTH / 2, paths)
         parent = body
     for name, sites in paths.items():
-        # Tendons are invisible, so that the images show the same finger as without them.
-        tendon = mount.root.tendon.add("spatial", name=f"tendon_{name}", rgba=(0, 0, 0, 0))
+        tendon = mount.root.tendon.add("spatial", name=f"tendon_{name}", group=HIDDEN)
         for site in sites:
             tendon.add("site", site=site)
         # A positive control pulls.
@@ -155,7 +157,7 @@ def guide(body, name, height, paths):
     for tendon, (x, y) in TENDONS.items():
         if tendon in paths:
             place = (LINK_RADIUS * x, LINK_RADIUS * y, height)
-            paths[tendon].append(body.add("site", name=f"{tendon}_{name}", pos=place, size=[0.001], rgba=(0, 0, 0, 0)))
+            paths[tendon].append(body.add("site", name=f"{tendon}_{name}", pos=place, size=[0.001], group=HIDDEN))
 
 
 def link_rgba(link, joints=JOINTS):
@@ -165,8 +167,8 @@ def link_rgba(link, joints=JOINTS):
     return [shade * ((1 - place) * base + place * tip) for base, tip in zip(BASE_RGB, TIP_RGB)] + [1]
 
 
-def arm(world, finger_length):
-    """Adds the arm with its actuators at the world's origin. Returns the beam, to which a finger of this length is mounted.
+def arm(world, height):
+    """Adds the arm with its actuators at the world's origin. Returns the beam, to which the finger is mounted at `height`.
 
     In the rest pose the arm points along -x, with rotation `ROTATION_REST`, lift 0 and extension 0.
     """
@@ -185,7 +187,7 @@ def arm(world, finger_length):
     shaft = world.add("body", name="arm_shaft", childclass="arm", euler=(0, 0, ROTATION_REST), gravcomp=1)
     shaft.add("joint", name="arm_rotation", type="hinge", axis=(0, 0, 1), ref=ROTATION_REST)
     shaft.add("geom", name="arm_shaft", type="cylinder", size=(0.05, 0.7), pos=(0, 0, 1.0), mass=SHAFT_MASS)
-    carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, TIP_HEIGHT + finger_length), gravcomp=1)
+    carriage = shaft.add("body", name="arm_carriage", pos=(0, 0, height), gravcomp=1)
     carriage.add("joint", name="arm_lift", type="slide", axis=(0, 0, 1))
     carriage.add("geom", name="arm_carriage", type="box", size=(0.12, 0.09, 0.09), mass=CARRIAGE_MASS)
     # Only visual: covers the beam's rear end at full extension.
@@ -275,8 +277,8 @@ def scene(name):
         contype=0,
         conaffinity=FINGER_BIT | BOX_BIT,
     )
-    joints = FEWER_JOINTS if name == "twelve" else JOINTS
-    beam = arm(world, joints * LINK_LENGTH)
+    joints, tip = (FEWER_JOINTS, FEWER_TIP_HEIGHT) if name == "twelve" else (JOINTS, TIP_HEIGHT)
+    beam = arm(world, tip + joints * LINK_LENGTH)
     finger(beam, joints, tendons=name == "tendon")
     axes = look_at(WRIST_POSITION, WRIST_TARGET)
     beam.add("camera", name="wrist", pos=WRIST_POSITION, xyaxes=axes, fovy=WRIST_FOVY)

@@ -23,7 +23,6 @@ import mujoco
 import numpy as np
 
 HERE = pathlib.Path(__file__).resolve().parent
-SCENES = ("empty", "cluttered")
 SEED = 0  # of all random setpoints
 MOVE_STEPS = 1000  # a move from one setpoint to the next takes 1 s, as in the datasets
 
@@ -47,9 +46,6 @@ POSES = 100  # random poses of the arm, of which frames are rendered
 RENDERING_ROUNDS = 5
 LARGER = 640  # pixels, width and height of a larger buffer
 FACTORS = (2, 4)  # width and height of larger frames, in those of the models' frames
-
-SENSOR_MOVES = 100
-SENSOR_RADIUS = 0.2  # m, of a sphere around each link, which contains all contacts of the link
 
 
 def load(scene):
@@ -182,21 +178,6 @@ def cones():
     print_table(["cones", "steps with contact", "force: median, 95 %, 99 %, maximum"], rows)
 
 
-def sensors():
-    """Prints how far touch sensors on all links differ from the sums of the contacts' normal forces."""
-    rows = []
-    for scene in SCENES:
-        model = with_touch_sensors(scene)
-        data, links = at_rest(model), [model.geom(link).id for link in LINKS]
-        largest = difference = 0
-        for _ in move(model, data, random_setpoints(model, SENSOR_MOVES)):
-            forces = geom_forces(model, data)[links]
-            largest = max(largest, forces.max())
-            difference = max(difference, np.abs(data.sensordata - forces).max())
-        rows.append([scene, f"{number(largest)} N", f"{difference:g} N"])
-    print_table(["", "largest force on a link", "largest difference of a touch sensor"], rows)
-
-
 def modes():
     """Prints the slowest and the fastest mode of the hanging finger, with factors of variation at their extremes."""
     own = load("empty")
@@ -306,16 +287,6 @@ def frame_seconds(model, side):
     return min(times)
 
 
-def with_touch_sensors(scene):
-    """Returns the compiled model of a scene with a touch sensor on each link."""
-    spec = load(scene)
-    for link in LINKS:
-        spec.body(link).add_site(name=link, size=[SENSOR_RADIUS] * 3)
-        spec.add_sensor(
-            name=link, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=link
-        )
-    return spec.compile()
-
 def criteria(worlds=fitness.WORLDS):
     """Prints whether worlds are fit for learning, and what describes their contacts."""
     print_table(*fitness.criteria(worlds))
@@ -327,7 +298,7 @@ def tried(worlds=fitness.WORLDS):
 
 
 OF_WORLDS = {"criteria": criteria, "tried": tried}
-TABLES = {**OF_WORLDS, **{function.__name__: function for function in (settling, cones, sensors, modes, rendering)}}
+TABLES = {**OF_WORLDS, **{function.__name__: function for function in (settling, cones, modes, rendering)}}
 
 
 def main():

@@ -34,7 +34,7 @@ FRAME_SIDE = 64
 # As in models/compose.py.
 LINK_LENGTH, LINK_RADIUS, LINK_MASS = 0.05, 0.045, 0.01  # m, m, kg
 STIFFNESS = 20.0  # N m/rad
-BOX_HALF_SIZE, BOX_MASS = (0.12, 0.12, 0.15), 1.0  # m, kg
+BOX_HALF_SIZE, BOX_MASS = (0.15, 0.15, 0.20), 1.0  # m, kg
 FINGER_FRICTION, BOX_FRICTION = 0.8, 0.5
 CAMERA_POSITION, CAMERA_TARGET, CAMERA_FOVY = (-3.8, -2.55, 3.55), (-0.79, 0.44, 0.0), 34  # m, m, degrees
 TIMESTEP = 1e-3  # s
