@@ -63,8 +63,8 @@ def read(folder, episodes):
 
     def columns(modality):
         own = [name for name in table.columns if name.startswith(modality + "_")]
-        if modality == "contact_force":
-            own = [name for name in own if name.removeprefix("contact_force_").isdigit()]
+        if modality.startswith("contact_force"):
+            own = [name for name in own if name.removeprefix(f"{modality}_").isdigit()]
         return table.select(own).to_numpy().reshape(len(files), -1, len(own)).astype(np.float32)
 
     forces = ("contact_force", "contact_force_mean", "contact_force_kind")

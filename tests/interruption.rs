@@ -584,11 +584,11 @@ fn a_loss_that_is_not_finite_fails_the_run_with_its_reason() {
 #[test]
 fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
     let (results, models) = (Results::new(), Results::new());
-    let stiff = include_str!("../models/empty.xml").replace("timestep=\"0.001\"", "timestep=\"0.1\"");
-    std::fs::write(models.path().join("stiff.xml"), stiff).unwrap();
-    let world = include_str!("../models/empty.yaml").replace("step_rate_hz: 1000", "step_rate_hz: 10");
-    let path = models.path().join("stiff.yaml");
-    std::fs::write(&path, world.replace("empty.xml", "stiff.xml")).unwrap();
+    let heavy = include_str!("../models/empty.xml").replace("timestep=\"0.001\"", "timestep=\"0.001\" gravity=\"0 0 -1e30\"");
+    std::fs::write(models.path().join("heavy.xml"), heavy).unwrap();
+    let path = models.path().join("heavy.yaml");
+    let world = include_str!("../models/empty.yaml").replace("empty.xml", "heavy.xml");
+    std::fs::write(&path, world).unwrap();
     let scenarios = format!("scenarios=[cluttered, {}]", path.display());
     let arguments = ["run", SMOKE, "seeds=[0,1]", &scenarios];
     let answer = run(results.path(), &arguments);

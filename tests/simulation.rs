@@ -210,7 +210,7 @@ fn a_live_simulation_of_an_episodes_course_senses_it_bit_by_bit() {
 fn a_live_arm_goes_evenly_to_its_setpoint_within_the_ranges() {
     let mut live = live(Scenario::EMPTY);
     let start = live.setpoint().to_vec();
-    let wanted = [start[0] + 0.2, -0.15, 0.2];
+    let wanted = [start[0] + 0.02, -0.015, 0.02];
     live.step(&wanted).unwrap();
     assert_eq!(live.setpoint(), wanted);
     // The gains delay the setpoint by kv / kp, which is 7 ms of 100 ms.
@@ -343,19 +343,18 @@ fn the_kind_of_a_contact_is_that_of_the_largest_force() {
     let scene = scene(Scenario::CLUTTERED);
     let spec = Simulation { actuations_per_episode: 10, ..Default::default() }
         .with("lift_range_m", Setting::Range([-1.0, -0.8]));
-    let recorded = Modality::new("contact_force_kind").unwrap();
-    let mut seen = [0; 4];
+    let [recorded, mean] =
+        ["contact_force_kind", "contact_force_mean_kind"].map(|name| Modality::new(name).unwrap());
+    let (mut seen, mut differ) = ([0; 4], 0);
     for index in 0..3 {
         let plan = EpisodePlan::draw(&scene, &spec, index).unwrap();
         let episode = simulate(&scene, &spec, index);
         let mut data = MjData::new(scene.model());
         data.qpos_mut().copy_from_slice(&replay(&scene, &spec, index).unwrap()[0]);
+        let mut impulses = [[0.0; 3]; JOINTS];
         for step in 0..=(episode.samples - 1) * STEPS_PER_SAMPLE {
             data.ctrl_mut().copy_from_slice(&setpoint(&plan, step));
             data.step();
-            if step % STEPS_PER_SAMPLE != 0 {
-                continue;
-            }
             let name =
                 |geom: i32| scene.model().id_to_name(MjtObjBase::mjOBJ_GEOM, geom as usize).unwrap_or("");
             // For each link the sum of the forces by kind: ground, box, other.
@@ -371,17 +370,28 @@ fn the_kind_of_a_contact_is_that_of_the_largest_force() {
                     sums[link.parse::<usize>().unwrap()][kind] += data.contact_force(contact)[0];
                 }
             }
-            let first = step / STEPS_PER_SAMPLE * JOINTS;
-            for (link, sums) in sums.iter().enumerate() {
-                let largest =
-                    (0..3).filter(|kind| sums[*kind] > 0.0).max_by(|a, b| sums[*a].total_cmp(&sums[*b]));
-                let expected = largest.map_or(0, |kind| kind + 1);
-                assert_eq!(episode.vector(recorded)[first + link], expected as f32, "link {link}: {sums:?}");
-                seen[expected] += 1;
+            for (impulses, sums) in impulses.iter_mut().zip(&sums) {
+                impulses.iter_mut().zip(sums).for_each(|(impulse, sum)| *impulse += sum);
             }
+            if step % STEPS_PER_SAMPLE != 0 {
+                continue;
+            }
+            let largest = |sums: &[f64; 3]| {
+                let kinds = (0..3).filter(|kind| sums[*kind] > 0.0);
+                kinds.max_by(|a, b| sums[*a].total_cmp(&sums[*b])).map_or(0, |kind| kind + 1)
+            };
+            let first = step / STEPS_PER_SAMPLE * JOINTS;
+            for (link, (sums, impulses)) in sums.iter().zip(&impulses).enumerate() {
+                let [now, since] = [sums, impulses].map(largest);
+                assert_eq!(episode.vector(recorded)[first + link], now as f32, "link {link}: {sums:?}");
+                assert_eq!(episode.vector(mean)[first + link], since as f32, "link {link}: {impulses:?}");
+                seen[now] += 1;
+                differ += usize::from(now != since);
+            }
+            impulses = [[0.0; 3]; JOINTS];
         }
     }
-    assert!(seen[..3].iter().all(|count| *count > 10), "{seen:?}");
+    assert!(seen[..3].iter().all(|count| *count > 10) && differ > 10, "{seen:?}, {differ}");
 }
 
 /// Checks that values are equal up to the rounding of a 32-bit float.
@@ -457,9 +467,8 @@ fn pillars_stay_in_place_and_the_finger_often_touches_them() {
         samples += episode.samples;
         on_pillars += episode.vector(kinds).chunks_exact(JOINTS).filter(|links| links.contains(&2.0)).count();
     }
-    // Of 40,000 samples, docs/crowded.md.
     let share = on_pillars as f64 / samples as f64;
-    assert!((0.3..0.55).contains(&share), "{share}");
+    assert!((0.15..0.4).contains(&share), "{share}");
 }
 
 /// `crowded_moving.yaml` repeats `crowded.yaml`, because a world file can't include another.
@@ -696,9 +705,7 @@ fn failure_of(edit: impl FnOnce(&mut MjSpec)) -> SimulationError {
     edit(&mut spec);
     spec.compile().unwrap();
     let xml = spec.save_xml_string(1 << 20).unwrap();
-    let rate = format!("step_rate_hz: {}", 1.0 / spec.option_mut().timestep);
-    let world = include_str!("../models/empty.yaml").replace("step_rate_hz: 1000", &rate);
-    let world = World::parse("edited.yaml", None, "empty", &world).unwrap();
+    let world = World::parse("edited.yaml", None, "empty", include_str!("../models/empty.yaml")).unwrap();
     let scene = Scene::from_xml(world.into(), &xml, "edited.xml".to_owned()).unwrap();
     let spec = short().with("lift_range_m", Setting::Range([-1.0, -0.9]));
     Simulator::new(&scene, &spec).unwrap().run(2, &mut || ControlFlow::Continue(())).unwrap_err()
@@ -706,7 +713,7 @@ fn failure_of(edit: impl FnOnce(&mut MjSpec)) -> SimulationError {
 
 #[test]
 fn a_diverged_simulation_is_an_error_that_says_when_and_how() {
-    let error = failure_of(|spec| spec.option_mut().timestep = 0.1);
+    let error = failure_of(|spec| spec.option_mut().gravity = [0.0, 0.0, -1e30]);
     let SimulationError::Diverged { episode: 2, time_s, ref what, .. } = error else { panic!("{error}") };
     assert!(what.contains("BADQ"), "{what}");
     assert!((0.0..10.0).contains(&time_s), "{time_s}");
@@ -822,7 +829,7 @@ fn a_picture_as_recorded_is_the_frame_of_the_dataset() {
     ];
     for (error, there) in unknown.iter().zip(["vision", "external"]) {
         let said = error.to_string();
-        assert!(said.ends_with(&format!("there is no camera 'inside'; available: {there}")), "{said}");
+        assert!(said.ends_with(&format!("there is no camera 'inside'; available: {there}, wrist")), "{said}");
     }
 }
 

@@ -122,7 +122,7 @@ fn the_printed_schema_says_the_same_as_the_files() {
             None => table = line.split_once(": ").unwrap().0,
             Some(column) => {
                 let (name, rest) = column.split_once(' ').unwrap();
-                let rest = &rest[24 - name.len()..];
+                let rest = &rest[28 - name.len()..];
                 let (unit, meaning) = rest.split_at(8);
                 let row = (name.to_owned(), unit.trim().to_owned(), meaning.to_owned());
                 tables.entry(table).or_default().push(row);

@@ -110,7 +110,7 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
         (
             "difference_of: vision",
             "difference_of: visoin",
-            place("vision\n\naction"),
+            place("vision\n  wrist_difference"),
             "unknown modality 'visoin'; did you mean 'vision'?",
         ),
         ("average_over: sample", "average_over: minute", place("sample\n"), "unknown interval 'minute'"),
@@ -133,10 +133,10 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "the model has no body 'arm_baem'; the model has world, arm_shaft, arm_carriage, arm_beam, finger_link_00",
         ),
         (
-            "average_over: sample\n",
-            "average_over: sample\n    contact_kinds: {ground: ground}\n",
-            "own.yaml:20:20".into(),
-            "only a normal_force at the instant has 'contact_kinds'",
+            "    joint_positions: arm_*\n",
+            "    joint_positions: arm_*\n    contact_kinds: {ground: ground}\n",
+            "own.yaml:13:20".into(),
+            "only a normal_force has 'contact_kinds'",
         ),
         (
             "    contact_kinds: {ground: ground}\n",
@@ -747,7 +747,7 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place() {
         (
             "  seconds: 1\n",
             "  seconds: 0.05\n",
-            "own.yaml:28:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
+            "own.yaml:34:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
             "simulation.actuation_seconds=1",
             "simulation.sample_rate_hz=10",
             "override 'simulation.sample_rate_hz=10': simulation.actuation_seconds: 0.05 s is not a whole number of",
@@ -1364,11 +1364,7 @@ fn a_swept_sector_ends_at_the_axis_of_the_arm() {
     let (folder, results) = (tempfile::tempdir().unwrap(), fresh("worlds_sector"));
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
     for (name, from, to) in [
-        (
-            "cluttered.xml",
-            "ctrlrange=\"0 1.5\" joint=\"arm_extension\"",
-            "ctrlrange=\"-1.5 0\" joint=\"arm_extension\"",
-        ),
+        ("cluttered.xml", "ctrlrange=\"0 1.5\"", "ctrlrange=\"-1.5 0\""),
         ("cluttered.yaml", "range: [0, 1.5], start: low", "range: [-1.5, 0], start: high"),
     ] {
         let text = fs::read_to_string(models.join(name)).unwrap();

@@ -305,10 +305,7 @@ fn by_layout(files: &[PathBuf]) -> PolarsResult<ByLayout> {
 fn episodes(files: &[PathBuf]) -> PolarsResult<Option<LazyFrame>> {
     let groups = by_layout(files)?;
     let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
-    let mut all = each_once(held.iter().flatten().cloned());
-    let known = Table::Episodes.columns();
-    // The columns of the built-in finger come first.
-    all.sort_by_key(|column| known.iter().position(|other| other.name == column.name).unwrap_or(known.len()));
+    let all = each_once(held.iter().flatten().cloned());
     let mut frames = Vec::new();
     for ((_, files), held) in groups.iter().zip(&held) {
         let Some(frame) = scan(files, held)? else { continue };

@@ -350,7 +350,7 @@ impl Schema {
             let follows = if is_episodes { format!(". {whose}") } else { String::new() };
             let columns = if is_episodes { of_episodes.clone() } else { table.columns() };
             print_text(&format!("{}: {}{follows}", table.name(), table.meaning()));
-            let line = |column: Column| (format!("  {:<24} {:<6}", column.name, column.unit), column.meaning);
+            let line = |column: Column| (format!("  {:<28} {:<6}", column.name, column.unit), column.meaning);
             print_beside(columns.into_iter().map(line));
         }
         Ok(ExitCode::from(DONE))

@@ -105,7 +105,8 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     };
     double_arrow(page, &[along(0.3), along(0.65), along(1.0)], BLACK);
     let [x, y] = along(0.75);
-    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end());
+    let words = "*q*_{3} extension";
+    page.text(words, [(x - 3.0).max(name.width(words) + 3.0), y - 4.0], name.end());
 
     label(page, view.geom("finger_link_12")?, [-24.0, 6.0], "finger");
     page.text("a", [3.0, 9.0], Type::BOLD);

@@ -9,7 +9,7 @@ use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading};
 use super::scene::{Scene, read_state};
-use super::sensors::{MeanForces, Resting, instability, largest_kinds, sum_forces};
+use super::sensors::{MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
@@ -46,6 +46,8 @@ pub(super) struct Physics<'s> {
     resting: Resting,
     /// Mean of the forces since the latest sampled instant.
     mean: MeanForces,
+    /// Sums of forces by kind of contact, for each of the scene's divisions into kinds.
+    kind_sums: Vec<Vec<f64>>,
     /// Noise of the samples that follow.
     noise: Noise,
     /// The clock of a probing motion; `None` for others.
@@ -199,6 +201,7 @@ impl<'s> Physics<'s> {
             forces: vec![0.0; scene.forces],
             resting: Resting::default(),
             mean: MeanForces::new(scene.forces),
+            kind_sums: scene.contact_kinds.iter().map(|kinds| vec![0.0; scene.forces * (kinds.last + 1)]).collect(),
             noise: Noise::default(),
             probe: None,
             episode: 0,
@@ -286,6 +289,11 @@ impl<'s> Physics<'s> {
             if is_read {
                 sum_forces(self.scene, data, &self.resting, &mut self.forces);
                 self.mean.add(&self.forces);
+                for (kinds, sums) in self.scene.contact_kinds.iter().zip(&mut self.kind_sums) {
+                    if is_sample || kinds.averages {
+                        add_kinds(self.scene, kinds, data, &self.resting, sums);
+                    }
+                }
             }
             if let (Some(probe), Some(touch)) = (&mut self.probe, &self.scene.touch) {
                 let force: f64 = touch.forces.iter().map(|force| self.forces[*force]).sum();
@@ -295,8 +303,9 @@ impl<'s> Physics<'s> {
                 self.instant.setpoint.copy_from_slice(&self.setpoint);
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
-                for (kinds, found) in self.scene.contact_kinds.iter().zip(&mut self.instant.contact_kinds) {
-                    largest_kinds(self.scene, kinds, data, &self.resting, found);
+                let found = self.kind_sums.iter_mut().zip(&mut self.instant.contact_kinds);
+                for (kinds, (sums, found)) in self.scene.contact_kinds.iter().zip(found) {
+                    take_largest_kinds(kinds, sums, found);
                 }
                 self.instant.sensors.copy_from_slice(data.sensordata());
                 for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
@@ -331,6 +340,7 @@ impl<'s> Physics<'s> {
     pub fn start(&mut self, plan: &EpisodePlan) {
         (self.episode, self.step) = (plan.episode, 0);
         self.mean.clear();
+        self.kind_sums.iter_mut().for_each(|sums| sums.fill(0.0));
         self.noise = plan.noise.clone();
         self.probe = self.scene.touch.as_ref().map(|_| Probe::new(&self.timing));
         // Starts from the scene's own model, so that no change of the previous episode remains.
@@ -388,6 +398,7 @@ impl<'s> Physics<'s> {
         self.probe = other.probe;
         self.resting.clone_from(&other.resting);
         self.mean.clone_from(&other.mean);
+        self.kind_sums.clone_from(&other.kind_sums);
         self.setpoint.clone_from(&other.setpoint);
         self.instant.state.clone_from(&other.instant.state);
     }

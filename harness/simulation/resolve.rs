@@ -80,6 +80,8 @@ pub(super) struct ContactKinds {
     pub of_geom: Vec<usize>,
     /// The largest value. The value 0 means no contact.
     pub last: usize,
+    /// Whether the force is averaged, so that the impulses since the sample before are compared.
+    pub averages: bool,
 }
 
 /// What a probing motion feels.
@@ -669,16 +671,17 @@ impl<'a> Resolver<'a> {
                 }
             }
         }
-        self.contact_kinds.push(ContactKinds { of_geom, last });
+        let averages = sensing.average_over.is_some();
+        self.contact_kinds.push(ContactKinds { of_geom, last, averages });
         let division = self.contact_kinds.len() - 1;
         let kinds: Vec<String> =
             (1..).zip(&force.contact_kinds).map(|(value, kind)| format!("{value} {kind}")).collect();
-        let meaning =
-            format!("Kind of the largest contact (0 none, {}, {last} other) on link", kinds.join(", "));
+        let largest = if averages { "contact with the largest impulse" } else { "largest contact" };
+        let meaning = format!("Kind of the {largest} (0 none, {}, {last} other) on link", kinds.join(", "));
         let elements =
             force.elements().iter().map(|element| Element { name: element.name.clone(), unit: "1".into() });
         let of_force = |reading: &Reading| match reading {
-            Reading::Force(force) => Reading::ContactKind(division, *force),
+            Reading::Force(force) | Reading::MeanForce(force) => Reading::ContactKind(division, *force),
             other => *other,
         };
         Ok(Some((

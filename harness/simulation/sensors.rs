@@ -34,25 +34,29 @@ pub(super) fn sum_forces(
     each_touch(scene, data, resting, |touch| forces[touch.link] += touch.force);
 }
 
-/// Writes the kind of each force's contact: the kind whose contacts have the largest sum of forces, or 0 if no contact
-/// has a force. Of equal sums, the later kind counts.
-pub(super) fn largest_kinds(
+/// Adds the forces of contacts to the sums by kind, `[forces, kinds]`.
+pub(super) fn add_kinds(
     scene: &Scene,
     kinds: &ContactKinds,
     data: &MjData<impl ModelType>,
     resting: &Resting,
-    found: &mut [usize],
+    sums: &mut [f64],
 ) {
-    let width = kinds.last + 1;
-    let mut sums = vec![0.0f64; found.len() * width];
     each_touch(scene, data, resting, |touch| {
         let kind = usize::try_from(touch.other).map_or(kinds.last, |geom| kinds.of_geom[geom]);
-        sums[touch.link * width + kind] += touch.force;
+        sums[touch.link * (kinds.last + 1) + kind] += touch.force;
     });
+}
+
+/// Writes the kind of each force's contact: the kind with the largest sum of [`add_kinds`], or 0 if no contact has a
+/// force. Of equal sums, the later kind counts. Clears the sums.
+pub(super) fn take_largest_kinds(kinds: &ContactKinds, sums: &mut [f64], found: &mut [usize]) {
+    let width = kinds.last + 1;
     for (found, sums) in found.iter_mut().zip(sums.chunks_exact(width)) {
         let largest = |a: &usize, b: &usize| sums[*a].abs().total_cmp(&sums[*b].abs());
         *found = (0..width).filter(|kind| sums[*kind] != 0.0).max_by(largest).unwrap_or(0);
     }
+    sums.fill(0.0);
 }
 
 /// Calls `found` with each contact of a sensed link. A contact between two links counts for both, and one within a link

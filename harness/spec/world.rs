@@ -223,10 +223,10 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Interval")]
     pub average_over: Option<Interval>,
-    /// Kinds of contact of a `normal_force` at the instant, by name. Each is a list of the geoms or bodies on the other
-    /// side of the contact. The metrics of the force are also computed for the contacts of each kind, and for `none`,
-    /// the elements without a contact. If an element has contacts of several kinds, the one with the largest force
-    /// counts.
+    /// Kinds of contact of a `normal_force`, by name. Each is a list of the geoms or bodies on the other side of the
+    /// contact. The metrics of the force are also computed for the contacts of each kind, and for `none`, the elements
+    /// without a contact. If an element has contacts of several kinds, the one with the largest force counts, or with
+    /// the largest impulse if the force is averaged.
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(schema_with = "groups")]
     pub contact_kinds: Ordered<Vec<String>>,
@@ -1166,8 +1166,8 @@ fn classes(sensing: &Sensing) -> Result<(), String> {
 
 /// Checks the kinds of contact of a force, whose values are recorded as a modality.
 fn contact_kinds(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), String> {
-    if sensing.normal_force.is_none() || sensing.average_over.is_some() {
-        return Err("only a normal_force at the instant has 'contact_kinds'".into());
+    if sensing.normal_force.is_none() {
+        return Err("only a normal_force has 'contact_kinds'".into());
     }
     for (kind, _) in sensing.contact_kinds.iter() {
         named("a kind of contact", kind)?;

@@ -168,20 +168,24 @@ class Contacts:
         return np.array([sum(forces) for forces in on], float)
 
     def kinds(self, links, kinds):
-        """For each link, the number of the kind, a set of geoms, whose contacts have the largest sum of forces. The sum
-        is negative where adhesion pulls."""
-        found = []
-        for parts in links:
-            sums = np.zeros(len(kinds) + 2)
+        """For each link, the sums of the forces of contacts by kind, a set of geoms, `[links, kinds + 2]`. The first
+        column is 0, and the last is of contacts of no kind."""
+        sums = np.zeros((len(links), len(kinds) + 2))
+        for parts, own in zip(links, sums):
             for sides, force, _ in self.found:
                 if not parts.intersection(sides):
                     continue
                 other = sides[1] if sides[0] in parts else sides[0]
-                sums[next((kind for kind, geoms in enumerate(kinds, 1) if other in geoms), len(kinds) + 1)] += force
-            # Of equal sums, the later kind counts.
-            sums = np.abs(sums)
-            found.append(len(sums) - 1 - np.argmax(sums[::-1]) if sums.max() > 0 else 0)
-        return np.array(found, float)
+                own[next((kind for kind, geoms in enumerate(kinds, 1) if other in geoms), len(kinds) + 1)] += force
+        return sums
+
+
+def largest(sums):
+    """The kind of each link with the largest sum. The sum is negative where adhesion pulls. Of equal sums, the later
+    kind counts."""
+    sums = np.abs(sums)
+    last = sums.shape[1] - 1 - np.argmax(sums[:, ::-1], axis=1)
+    return np.where(sums.max(axis=1) > 0, last, 0).astype(float)
 
 
 def links_of(model, patterns):
@@ -276,7 +280,7 @@ def reader(model, sensing):
 
 
 def kinds_reader(model, sensing):
-    """Returns a function that reads the kinds of the contacts of a force."""
+    """Returns a function that reads the sums of a force by kind of contact."""
     _, links = links_of(model, sensing["normal_force"])
     kinds = [set().union(*links_of(model, patterns)[1]) for patterns in sensing["contact_kinds"].values()]
     return lambda data, contacts: contacts.kinds(links, kinds)
@@ -611,12 +615,20 @@ def compare(folder):
             compared[name] = Comparison(source, None)
         elif "difference_of" not in sensing:  # not recorded: samples are subtracted when they are read
             source, ends, read = reader(model, sensing)
-            (means if "average_over" in sensing else vectors)[name] = read
+            is_mean = "average_over" in sensing
+            if is_mean:
+                means[name] = read, lambda steps: np.mean(steps, axis=0)
+            else:
+                vectors[name] = read
             compared[name] = Comparison(source, TOLERANCE)
             columns[name] = [f"{name}_{end}" for end in ends]
             if sensing.get("contact_kinds"):
                 kinds = f"{name}_kind"
-                vectors[kinds], compared[kinds] = kinds_reader(model, sensing), Comparison("contact_kinds", TOLERANCE)
+                compared[kinds], sums = Comparison("contact_kinds", TOLERANCE), kinds_reader(model, sensing)
+                if is_mean:
+                    means[kinds] = sums, lambda steps: largest(np.sum(steps, axis=0))
+                else:
+                    vectors[kinds] = lambda data, contacts, sums=sums: largest(sums(data, contacts))
                 columns[kinds] = [f"{kinds}_{end}" for end in ends]
 
     left_over = set()
@@ -635,7 +647,7 @@ def compare(folder):
         computed, since = {name: [] for name in compared}, {name: [] for name in means}
         began = data.time
         for step, (instant, contacts) in enumerate(states(of_episode, data, control, own_action.apply)):
-            for name, read in means.items():
+            for name, (read, _) in means.items():
                 since[name].append(read(instant, contacts))
             if step % every:
                 continue
@@ -644,7 +656,7 @@ def compare(folder):
             for name, read in vectors.items():
                 computed[name].append(read(instant, contacts))
             for name, values in since.items():
-                computed[name].append(np.mean(values, axis=0))
+                computed[name].append(means[name][1](values))
                 since[name] = []
             if of_factors:
                 computed["factors"].append(drawn)
