@@ -691,7 +691,7 @@ class World:
             kinds = {"ground": model.geoms[:1], "low": model.geoms[1:half], "high": model.geoms[half:]}
             chosen["force"]["contact_kinds"] = {kind: geoms for kind, geoms in kinds.items() if geoms}
         if draw.chance(0.6):
-            chosen["mean"] = chosen["force"] | dict(average_over="sample", minimum=None)
+            chosen["mean"] = chosen["force"] | dict(average_over="sample")
         if model.flexes:
             chosen["flex"] = dict(normal_force=model.flexes, minimum=None)
         if model.cameras:
