@@ -267,7 +267,9 @@ fn an_episode_of_another_dataset_is_not_taken_for_ones_own() {
 
 #[test]
 fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
-    let heavy = scene(Scenario::EMPTY).xml().replace("timestep=\"0.001\"", "timestep=\"0.001\" gravity=\"0 0 -1e30\"");
+    let heavy = scene(Scenario::EMPTY)
+        .xml()
+        .replace("timestep=\"0.001\"", "timestep=\"0.001\" gravity=\"0 0 -1e30\"");
     let world = World::parse("heavy.yaml", None, "empty", include_str!("../models/empty.yaml")).unwrap();
     let scene = Scene::from_xml(world.into(), &heavy, "heavy.xml".into()).unwrap();
     let root = tempfile::tempdir().unwrap();

@@ -584,7 +584,8 @@ fn a_loss_that_is_not_finite_fails_the_run_with_its_reason() {
 #[test]
 fn a_scenario_that_diverges_fails_and_the_other_goes_on() {
     let (results, models) = (Results::new(), Results::new());
-    let heavy = include_str!("../models/empty.xml").replace("timestep=\"0.001\"", "timestep=\"0.001\" gravity=\"0 0 -1e30\"");
+    let heavy = include_str!("../models/empty.xml")
+        .replace("timestep=\"0.001\"", "timestep=\"0.001\" gravity=\"0 0 -1e30\"");
     std::fs::write(models.path().join("heavy.xml"), heavy).unwrap();
     let path = models.path().join("heavy.yaml");
     let world = include_str!("../models/empty.yaml").replace("empty.xml", "heavy.xml");

@@ -105,10 +105,9 @@ fn arm(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureError>
     };
     double_arrow(page, &[along(0.3), along(0.65), along(1.0)], BLACK);
     let [x, y] = along(0.75);
-    let words = "*q*_{3} extension";
-    page.text(words, [(x - 3.0).max(name.width(words) + 3.0), y - 4.0], name.end());
+    page.text("*q*_{3} extension", [x - 3.0, y - 4.0], name.end());
 
-    label(page, view.geom("finger_link_12")?, [-24.0, 6.0], "finger");
+    label(page, view.geom("finger_link_12")?, [24.0, 6.0], "finger");
     page.text("a", [3.0, 9.0], Type::BOLD);
     Ok(())
 }
@@ -120,9 +119,11 @@ fn finger(page: &mut Page, scene: &Scene, state: &[f64]) -> Result<(), FigureErr
     for link in [0, 5, 10, 15, 19] {
         let [x, y] = view.geom(&format!("finger_link_{link:02}"))?;
         let text = format!("link {link}");
-        let from = x + 9.0;
-        page.line([x, y], [from, y], Stroke::new(BLACK, 0.5));
-        page.rectangle([from, y - 4.0], [small.width(&text) + 3.0, 8.0], 1.5, WHITE, None);
+        let width = small.width(&text) + 3.0;
+        // To the left where there is no room on the right.
+        let from = if x + 9.0 + width <= COLUMN { x + 9.0 } else { x - 9.0 - width };
+        page.line([x, y], [from.max(x - 9.0), y], Stroke::new(BLACK, 0.5));
+        page.rectangle([from, y - 4.0], [width, 8.0], 1.5, WHITE, None);
         page.text(&text, [from + 1.5, y + 2.2], small.start());
     }
     // The two directions of bending at the finger's base: along the arm, and across it.

@@ -201,7 +201,11 @@ impl<'s> Physics<'s> {
             forces: vec![0.0; scene.forces],
             resting: Resting::default(),
             mean: MeanForces::new(scene.forces),
-            kind_sums: scene.contact_kinds.iter().map(|kinds| vec![0.0; scene.forces * (kinds.last + 1)]).collect(),
+            kind_sums: scene
+                .contact_kinds
+                .iter()
+                .map(|kinds| vec![0.0; scene.forces * (kinds.last + 1)])
+                .collect(),
             noise: Noise::default(),
             probe: None,
             episode: 0,
