@@ -146,6 +146,7 @@ const MANIPULATOR: Robot = Robot {
     actuation_seconds: 0.4,
     compared: &[
         "normal_force",
+        "contact_normal",
         "camera",
         "body_positions",
         "body_orientations",
@@ -162,6 +163,7 @@ const QUADRUPED: Robot = Robot {
     actuation_seconds: 0.4,
     compared: &[
         "normal_force",
+        "contact_normal",
         "sensor",
         "camera",
         "body_positions",
@@ -179,6 +181,7 @@ const HUMANOID: Robot = Robot {
     actuation_seconds: 0.4,
     compared: &[
         "normal_force",
+        "contact_normal",
         "sensor",
         "camera",
         "body_positions",
@@ -196,6 +199,7 @@ const DOG: Robot = Robot {
     actuation_seconds: 0.4,
     compared: &[
         "normal_force",
+        "contact_normal",
         "sensor",
         "camera",
         "body_positions",
@@ -211,7 +215,7 @@ const MUJOCOS_HUMANOID: Robot = Robot {
     output: "[joints, contact_force]",
     sample_rate_hz: 1000.0 / 99.0,
     actuation_seconds: 0.198,
-    compared: &["normal_force", "camera", "body_positions", "body_orientations"],
+    compared: &["normal_force", "contact_normal", "camera", "body_positions", "body_orientations"],
 };
 /// Ball joints, and 28 kinds of sensors.
 const SENSORS: Robot = Robot {
@@ -247,7 +251,7 @@ const HAND: Robot = Robot {
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["normal_force", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations", "site_positions", "site_orientations"],
 };
 /// A four-legged robot of meshes above a height field.
 const HEIGHT_FIELD: Robot = Robot {
@@ -266,7 +270,7 @@ const CABLE: Robot = Robot {
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["normal_force", "body_positions", "body_orientations"],
+    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations"],
 };
 /// A sensor of a plugin: a grid of 7 x 7 taxels with three values each.
 const TOUCH_GRID: Robot = Robot {
@@ -275,7 +279,7 @@ const TOUCH_GRID: Robot = Robot {
     output: "[joints, plugin]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["sensor", "normal_force", "body_positions"],
+    compared: &["sensor", "normal_force", "contact_normal", "body_positions"],
 };
 
 /// A ball that a mocap body carries by a weld. It has no actuator.
@@ -285,7 +289,7 @@ const MOCAP: Robot = Robot {
     output: "[joints, other_joints]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["normal_force", "body_positions", "body_orientations", "camera"],
+    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations", "camera"],
 };
 /// A soft block of 27 vertices that a servo presses.
 const JELLY: Robot = Robot {
@@ -294,7 +298,7 @@ const JELLY: Robot = Robot {
     output: "[joints, flex_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["normal_force", "body_positions", "camera"],
+    compared: &["normal_force", "contact_normal", "body_positions", "camera"],
 };
 
 #[test]

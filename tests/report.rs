@@ -187,7 +187,7 @@ fn corrected_p_values_stand_beside_the_verdicts() {
         assert_eq!(marks[row], decided && expected.is_some_and(|p| p >= 0.05), "{verdict} {expected:?}");
         tested += usize::from(expected.is_some());
     }
-    assert!(tested > 5, "{tested}");
+    assert!(tested > 3, "{tested}");
 }
 
 #[test]

@@ -78,8 +78,8 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             "",
             place("size: [64, 64]"),
             "exactly one of joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
-             site_orientations, normal_force, sensor, camera, optical_flow, depth, segmentation, difference_of; \
-             found none",
+             site_orientations, normal_force, contact_normal, sensor, camera, optical_flow, depth, segmentation, \
+             difference_of; found none",
         ),
         (
             "unit: m, range: [-1, 0]",
@@ -747,7 +747,7 @@ fn rates_that_no_experiment_can_use_are_refused_at_their_place() {
         (
             "  seconds: 1\n",
             "  seconds: 0.05\n",
-            "own.yaml:34:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
+            "own.yaml:36:12: 0.05 s is not a whole number of samples at 10 Hz; use a multiple of 0.1 s",
             "simulation.actuation_seconds=1",
             "simulation.sample_rate_hz=10",
             "override 'simulation.sample_rate_hz=10': simulation.actuation_seconds: 0.05 s is not a whole number of",

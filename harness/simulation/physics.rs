@@ -9,7 +9,7 @@ use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading};
 use super::scene::{Scene, read_state};
-use super::sensors::{MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds};
+use super::sensors::{MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds, write_normals};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;
@@ -77,6 +77,8 @@ pub(super) struct Instant {
     pub mean_forces: Vec<f64>,
     /// The kind of each force's contact, by each of the scene's divisions into kinds.
     pub contact_kinds: Vec<Vec<usize>>,
+    /// The scene's directions of contacts.
+    pub normals: Vec<[f64; 3]>,
     /// Values of all of the model's sensors.
     pub sensors: Vec<f64>,
     /// What is added to the values of each modality of the layout; empty for one without noise.
@@ -96,6 +98,7 @@ impl Instant {
             Reading::Force(index) => self.forces[index],
             Reading::MeanForce(index) => self.mean_forces[index],
             Reading::ContactKind(division, index) => self.contact_kinds[division][index] as f64,
+            Reading::ContactNormal(index, axis) => self.normals[index][axis],
             Reading::Sensor(index) => self.sensors[index],
             Reading::Setpoint(index) => self.setpoint[index],
         }
@@ -186,6 +189,7 @@ impl<'s> Physics<'s> {
             forces: vec![0.0; scene.forces],
             mean_forces: vec![0.0; scene.forces],
             contact_kinds: vec![vec![0; scene.forces]; scene.contact_kinds.len()],
+            normals: vec![[0.0; 3]; scene.normals.len()],
             sensors: data.sensordata().to_vec(),
             noise: vec![Vec::new(); scene.readings.len()],
         };
@@ -311,6 +315,7 @@ impl<'s> Physics<'s> {
                 for (kinds, (sums, found)) in self.scene.contact_kinds.iter().zip(found) {
                     take_largest_kinds(kinds, sums, found);
                 }
+                write_normals(self.scene, data, &self.resting, &mut self.instant.normals);
                 self.instant.sensors.copy_from_slice(data.sensordata());
                 for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.posed) {
                     *pose = pose_of(data, *object);

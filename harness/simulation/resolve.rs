@@ -32,6 +32,7 @@ pub(super) struct Resolved {
     pub forces: usize,
     pub touch: Option<Touch>,
     pub contact_kinds: Vec<ContactKinds>,
+    pub normals: Vec<ContactNormal>,
     pub placements: Vec<Placement>,
     pub factors: Vec<SceneFactor>,
     pub view: Option<usize>,
@@ -67,6 +68,8 @@ pub(super) enum Reading {
     MeanForce(usize),
     /// The kind of the contact of one of the scene's forces, by one of the scene's divisions into kinds.
     ContactKind(usize, usize),
+    /// A value of one of the scene's directions of contacts: x, y and z.
+    ContactNormal(usize, usize),
     /// Index into `sensordata`.
     Sensor(usize),
     /// An element of what the actuators are commanded.
@@ -82,6 +85,15 @@ pub(super) struct ContactKinds {
     pub last: usize,
     /// Whether the force is averaged, so that the impulses since the sample before are compared.
     pub averages: bool,
+}
+
+/// A direction of contacts that is sensed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ContactNormal {
+    /// The index of the force that has this direction.
+    pub force: usize,
+    /// The body in whose frame it is given.
+    pub body: usize,
 }
 
 /// What a probing motion feels.
@@ -266,6 +278,7 @@ pub(super) struct Resolver<'a> {
     force_of_flex: Vec<Option<usize>>,
     forces: usize,
     contact_kinds: Vec<ContactKinds>,
+    normals: Vec<ContactNormal>,
     posed: Vec<PosedObject>,
     tip: Option<Tip>,
 }
@@ -274,8 +287,8 @@ impl<'a> Resolver<'a> {
     pub fn new(world: &'a World, model: &'a MjModel) -> Self {
         let force_of_geom = vec![None; model.ngeom() as usize];
         let force_of_flex = vec![None; model.nflex() as usize];
-        let (contact_kinds, posed) = (Vec::new(), Vec::new());
-        Self { world, model, force_of_geom, force_of_flex, forces: 0, contact_kinds, posed, tip: None }
+        let (contact_kinds, normals, posed) = (Vec::new(), Vec::new(), Vec::new());
+        Self { world, model, force_of_geom, force_of_flex, forces: 0, contact_kinds, normals, posed, tip: None }
     }
 
     pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
@@ -379,6 +392,7 @@ impl<'a> Resolver<'a> {
             forces: self.forces,
             touch,
             contact_kinds: self.contact_kinds,
+            normals: self.normals,
             placements,
             factors,
             view,
@@ -508,6 +522,10 @@ impl<'a> Resolver<'a> {
                     }
                 };
                 self.contact_forces(names, path, mean)?
+            }
+            Source::ContactNormal(names) => {
+                definition.meaning = "Direction of the normal contact force, in the frame of the body, on link".into();
+                self.contact_normals(names, path)?
             }
             Source::Pose { names, of, orientation, relative_to } => {
                 let what = if orientation { "Orientation" } else { "Position" };
@@ -764,6 +782,34 @@ impl<'a> Resolver<'a> {
             sensed.push(Sensed { name: name.to_owned(), element, unit: "N".into(), reading });
         }
         sensed
+    }
+
+    /// Directions of the forces on geoms, or on all geoms of each body.
+    fn contact_normals(
+        &mut self,
+        patterns: &'a [String],
+        path: &str,
+    ) -> Result<Vec<Sensed>, SimulationError> {
+        let mut sensed = Vec::new();
+        for link in self.contact_forces(patterns, path, false)? {
+            let is_own = |reading: &Option<usize>| reading.map(Reading::Force) == Some(link.reading);
+            let Some(geom) = self.force_of_geom.iter().position(is_own) else {
+                let message = format!(
+                    "'{}' is a flex, which has no frame for a direction; name geoms or bodies, or sense its normal_force",
+                    link.name
+                );
+                return Err(self.fault(path, message));
+            };
+            let force = self.force_of_geom[geom].expect("it has this force");
+            self.normals.push(ContactNormal { force, body: self.model.geom_bodyid()[geom] as usize });
+            sensed.extend(["x", "y", "z"].iter().enumerate().map(|(axis, value)| Sensed {
+                name: format!("{}_{value}", link.name),
+                element: format!("{}_{value}", link.element),
+                unit: "1".into(),
+                reading: Reading::ContactNormal(self.normals.len() - 1, axis),
+            }));
+        }
+        Ok(sensed)
     }
 
     /// Why a body without geoms has no contact force.

@@ -5,7 +5,7 @@ use super::load::{compile_error, load_file, load_text, read_model};
 use super::names::{CAMERA, called};
 use super::plugins::load_plugins;
 use super::resolve::{
-    Area, ContactKinds, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
+    Area, ContactKinds, ContactNormal, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
     SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
 };
 use super::settled::Settling;
@@ -54,6 +54,8 @@ pub struct Scene {
     pub(super) touch: Option<Touch>,
     /// Divisions of the contacts into kinds.
     pub(super) contact_kinds: Vec<ContactKinds>,
+    /// Directions of contacts that are sensed.
+    pub(super) normals: Vec<ContactNormal>,
     pub(super) placements: Vec<Placement>,
     /// The ground below the bodies that are placed; `None` if there are none.
     pub(super) ground: Option<GroundModel>,
@@ -191,6 +193,7 @@ impl Scene {
             forces: resolved.forces,
             touch: resolved.touch,
             contact_kinds: resolved.contact_kinds,
+            normals: resolved.normals,
             placements: resolved.placements,
             ground,
             factors: resolved.factors,

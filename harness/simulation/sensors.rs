@@ -1,7 +1,7 @@
 //! Values that are computed from the state after each step: contact forces, and MuJoCo's warnings.
 
 use super::load::can_sleep;
-use super::resolve::ContactKinds;
+use super::resolve::{ContactKinds, ContactNormal};
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
@@ -17,6 +17,8 @@ struct Touch {
     other: i32,
     /// The normal force, N. It is negative where adhesion pulls.
     force: f64,
+    /// The unit vector in the world along which a positive force pushes the link.
+    normal: [f64; 3],
 }
 
 /// Writes the normal force on each sensed link, N: the sum over the link's contacts. There is one value for each of the
@@ -59,6 +61,29 @@ pub(super) fn take_largest_kinds(kinds: &ContactKinds, sums: &mut [f64], found: 
     sums.fill(0.0);
 }
 
+/// Writes the directions of contacts: unit vectors in the frames of bodies along the sum of the normal forces, each with
+/// its normal, or 0 if the sum is 0.
+pub(super) fn write_normals(
+    scene: &Scene,
+    data: &MjData<impl ModelType>,
+    resting: &Resting,
+    found: &mut [[f64; 3]],
+) {
+    if found.is_empty() {
+        return;
+    }
+    let mut sums = vec![[0.0; 3]; scene.forces];
+    each_touch(scene, data, resting, |Touch { link, force, normal, .. }| {
+        sums[link].iter_mut().zip(normal).for_each(|(sum, part)| *sum += force * part);
+    });
+    for (found, ContactNormal { force, body }) in found.iter_mut().zip(&scene.normals) {
+        let (sum, axes) = (sums[*force], data.xmat()[*body]);
+        let length = sum.iter().map(|part| part * part).sum::<f64>().sqrt();
+        let along = |axis: usize| (0..3).map(|row| axes[3 * row + axis] * sum[row]).sum::<f64>() / length;
+        *found = if length > 0.0 { std::array::from_fn(along) } else { [0.0; 3] };
+    }
+}
+
 /// Calls `found` with each contact of a sensed link. A contact between two links counts for both, and one within a link
 /// once.
 fn each_touch(scene: &Scene, data: &MjData<impl ModelType>, resting: &Resting, mut found: impl FnMut(Touch)) {
@@ -84,7 +109,11 @@ fn touches(
         return [None; 2];
     }
     let force = data.contact_force(index)[0];
-    let touch = |side: usize| Some(Touch { link: links[side]?, other: contact.geom[1 - side], force });
+    // MuJoCo's normal points from the first side to the second.
+    let normal = |side: usize| [0, 1, 2].map(|axis| [-1.0, 1.0][side] * contact.frame[axis]);
+    let touch = |side: usize| {
+        Some(Touch { link: links[side]?, other: contact.geom[1 - side], force, normal: normal(side) })
+    };
     [touch(0), touch(1).filter(|_| links[0] != links[1])]
 }
 

@@ -171,6 +171,11 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
     pub normal_force: Option<Vec<String>>,
+    /// The direction in which the normal forces push each geom or body: a unit vector x, y, z in the frame of the body, and
+    /// 0 without a contact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "globs")]
+    pub contact_normal: Option<Vec<String>>,
     /// The values of sensors of the MJCF.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "globs")]
@@ -238,8 +243,8 @@ pub struct Sensing {
     #[serde(default, skip_serializing_if = "Ordered::is_empty")]
     #[schemars(schema_with = "groups")]
     pub groups: Ordered<Vec<String>>,
-    /// The standard deviation by which values are divided for a network. The default is `shared` for forces and images,
-    /// and `per_element` for others.
+    /// The standard deviation by which values are divided for a network. The default is `shared` for forces, directions
+    /// of contacts and images, and `per_element` for others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Scale")]
     pub scale: Option<Scale>,
@@ -514,6 +519,8 @@ pub enum Source<'a> {
         /// Whether the forces are averaged over the steps since the sample before.
         mean: bool,
     },
+    /// Directions of the summed normal forces on the geoms or bodies whose names match these patterns.
+    ContactNormal(&'a [String]),
     /// Values of the sensors of the MJCF whose names match these patterns.
     Sensor(&'a [String]),
     /// The image of a camera.
@@ -577,6 +584,7 @@ impl Source<'_> {
             Self::Pose { of: Posed::Site, orientation: false, .. } => "site_positions",
             Self::Pose { of: Posed::Site, orientation: true, .. } => "site_orientations",
             Self::NormalForce { .. } => "normal_force",
+            Self::ContactNormal(_) => "contact_normal",
             Self::Sensor(_) => "sensor",
             Self::Camera { .. } => "camera",
             Self::OpticalFlow { .. } => "optical_flow",
@@ -590,8 +598,8 @@ impl Source<'_> {
 impl Sensing {
     /// The keys of which a modality has exactly one.
     const SOURCES: &str = "joint_positions, joint_velocities, body_positions, body_orientations, site_positions, \
-                           site_orientations, normal_force, sensor, camera, optical_flow, depth, segmentation, \
-                           difference_of";
+                           site_orientations, normal_force, contact_normal, sensor, camera, optical_flow, depth, \
+                           segmentation, difference_of";
 
     /// Returns what the values are read from. The file must have passed the checks.
     pub fn source(&self) -> Source<'_> {
@@ -614,6 +622,7 @@ impl Sensing {
             pose(&self.site_positions, Posed::Site, false),
             pose(&self.site_orientations, Posed::Site, true),
             self.normal_force.as_deref().map(|names| Source::NormalForce { names, mean }),
+            self.contact_normal.as_deref().map(Source::ContactNormal),
             self.sensor.as_deref().map(Source::Sensor),
             self.camera.as_deref().map(|name| Source::Camera { name, size }),
             self.optical_flow.as_deref().map(|camera| Source::OpticalFlow { camera, size, limit }),
@@ -909,6 +918,7 @@ impl World {
             Source::NormalForce { .. } => {
                 Scaling { scale: Scale::Shared, minimum: (!self.is_noisy(modality, factors)).then_some(0.0) }
             }
+            Source::ContactNormal(_) => Scaling::plain(true),
             Source::DifferenceOf(of) => Scaling::plain(self.sensing(of)?.is_image()),
             _ => Scaling::plain(sensing.is_image()),
         };

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Adds to a world file that `world new` wrote: the entries that it leaves out, the poses of all bodies and sites with
-/// a name, and mean forces.
+/// a name, mean forces, and directions of contacts.
 pub fn add_poses(path: &Path) {
     // Entries that the file leaves out, and advises to uncomment.
     let text = fs::read_to_string(path).unwrap();
@@ -25,7 +25,8 @@ pub fn add_poses(path: &Path) {
     }
     if let Some(line) = text.lines().find(|line| line.trim_start().starts_with("contact_force:")) {
         let mean = line.replace("contact_force:", "mean_force:").replace("]}", "], average_over: sample}");
-        more += &format!("{mean}\n");
+        let push = line.replace("contact_force:", "push:").replace("normal_force:", "contact_normal:");
+        more += &format!("{mean}\n{push}\n");
     }
     fs::write(path, text.replacen("\naction:", &format!("{more}\naction:"), 1)).unwrap();
 }

@@ -692,6 +692,7 @@ class World:
             chosen["force"]["contact_kinds"] = {kind: geoms for kind, geoms in kinds.items() if geoms}
         if draw.chance(0.6):
             chosen["mean"] = chosen["force"] | dict(average_over="sample")
+        chosen["push"] = dict(contact_normal=touched)
         if model.flexes:
             chosen["flex"] = dict(normal_force=model.flexes, minimum=None)
         if model.cameras:

@@ -127,9 +127,12 @@ class Contacts:
             self.resting += self.asleep_in(data, data)
 
     def computed(self, data):
-        """The sides, the force, and the bodies that touch, of each contact."""
-        contacts = enumerate(data.contact)
-        return [(self.sides(each), self.normal_force(data, index), self.bodies(each)) for index, each in contacts]
+        """The sides, the force, the bodies that touch, and the normal from the first side to the second, of each
+        contact."""
+        return [
+            (self.sides(each), self.normal_force(data, index), self.bodies(each), each.frame[:3].copy())
+            for index, each in enumerate(data.contact)
+        ]
 
     def asleep_in(self, data, sleeping):
         return [found for found in self.computed(data) if self.sleeps(found, sleeping)]
@@ -164,7 +167,7 @@ class Contacts:
 
     def forces(self, links):
         """For each link, a set of geoms and flexes, the sum of the normal forces of all its contacts."""
-        on = [[force for sides, force, _ in self.found if parts.intersection(sides)] for parts in links]
+        on = [[force for sides, force, *_ in self.found if parts.intersection(sides)] for parts in links]
         return np.array([sum(forces) for forces in on], float)
 
     def kinds(self, links, kinds):
@@ -172,12 +175,21 @@ class Contacts:
         column is 0, and the last is of contacts of no kind."""
         sums = np.zeros((len(links), len(kinds) + 2))
         for parts, own in zip(links, sums):
-            for sides, force, _ in self.found:
+            for sides, force, *_ in self.found:
                 if not parts.intersection(sides):
                     continue
                 other = sides[1] if sides[0] in parts else sides[0]
                 own[next((kind for kind, geoms in enumerate(kinds, 1) if other in geoms), len(kinds) + 1)] += force
         return sums
+
+    def normals(self, links, frames):
+        """For each link, the direction of the sum of the normal forces on it in the frame of a body, given by its axes."""
+        directions = []
+        for parts, axes in zip(links, frames):
+            on = [(sides, force * normal) for sides, force, _, normal in self.found if parts.intersection(sides)]
+            push = sum((-push if sides[0] in parts else push for sides, push in on), np.zeros(3))
+            directions.append(axes.T @ push / (np.linalg.norm(push) or 1))
+        return np.concatenate(directions)
 
 
 def largest(sums):
@@ -249,7 +261,7 @@ def pose(kind, part, frame):
 
 def reader(model, sensing):
     """Returns a modality's source, the ends of its columns, and a function that reads its values after `mj_forward`."""
-    source = next(key for key in sensing if key in ("sensor", "normal_force", *POSES, *PARTS_OF_JOINTS))
+    source = next(key for key in sensing if key in ("sensor", "normal_force", "contact_normal", *POSES, *PARTS_OF_JOINTS))
     patterns = sensing[source]
     if source in POSES:
         kind, part = POSES[source]
@@ -276,6 +288,12 @@ def reader(model, sensing):
         columns = columns_of([end + part for end, own in zip(ends, parts) for part in own])
         return source, columns, lambda data, contacts: np.concatenate([data.sensor(sensor.id).data for sensor in found])
     names, links = links_of(model, patterns)
+    if source == "contact_normal":
+        columns = [end + axis for end in columns_of(names, patterns) for axis in ("_x", "_y", "_z")]
+        bodies = [model.geom_bodyid[min(geom for _, geom in parts)] for parts in links]
+        return source, columns, lambda data, contacts: contacts.normals(
+            links, [data.xmat[body].reshape(3, 3) for body in bodies]
+        )
     return source, columns_of(names, patterns), lambda data, contacts: contacts.forces(links)
 
 

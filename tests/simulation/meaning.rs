@@ -124,7 +124,8 @@ fn resting(geom: &str, ball: &str, more: &str) -> String {
 }
 
 const TOUCHED: &str = "modalities:\n  force:\n    normal_force: [ball, floor]\n    contact_kinds: {ground: floor}\n    \
-                       minimum: null\n  mean: {normal_force: ball, average_over: sample, minimum: null}\n\
+                       minimum: null\n  mean: {normal_force: ball, average_over: sample, minimum: null}\n  \
+                       push: {contact_normal: [ball, floor]}\n\
                        action: {seconds: 2, actuators: {push: {range: [0, 1.0e-9]}}}\n";
 
 fn last(episode: &Episode, name: &str) -> f64 {
@@ -137,6 +138,8 @@ fn a_force_is_the_net_force_of_an_adhesive_contact() {
     let episode = run(&world, 1);
     assert!((last(&episode, "force") - GRAVITY).abs() < 1e-3, "{}", last(&episode, "force"));
     assert!((last(&episode, "mean") - GRAVITY).abs() < 1e-3, "{}", last(&episode, "mean"));
+    let ends = |episode: &Episode| vector(episode, "push").last_chunk::<6>().copied().unwrap();
+    assert_eq!(ends(&episode), [0.0, 0.0, -1.0, 0.0, 0.0, 1.0]);
     assert!(said(&world).contains("geoms have adhesion"));
     let force = &world.layout()[Modality::new("force").unwrap()];
     assert_eq!((force.minimum, force.is_force()), (None, true));
@@ -149,6 +152,7 @@ fn a_force_is_the_net_force_of_an_adhesive_contact() {
     let episode = run(&scene(&resting("adhesion=\"5\" gap=\".01\"", "", ""), &pulled).unwrap(), 1);
     assert!((last(&episode, "force") - (GRAVITY - 12.0)).abs() < 1e-2, "{}", last(&episode, "force"));
     assert_eq!(last(&episode, "force_kind"), 1.0);
+    assert_eq!(ends(&episode), [0.0, 0.0, 1.0, 0.0, 0.0, -1.0]);
     let active = resting("", "", "<adhesion name=\"stick\" body=\"ball\" ctrlrange=\"0 1\" gain=\"5\"/>");
     assert!(note_of(&active, TOUCHED).contains("'stick' presses the contacts of a body together"));
 }
@@ -191,7 +195,7 @@ const ASLEEP: &str = r#"<mujoco><option timestep="0.002"><flag sleep="enable"/><
 
 const BESIDE: &str = "modalities:\n  force:\n    normal_force: [floor, box, top]\n    \
                       contact_kinds: {ground: floor, block: [box, top]}\n  \
-                      mean: {normal_force: [box], average_over: sample}\n  felt: {sensor: touch, unit: N}\n  \
+                      mean: {normal_force: [box], average_over: sample}\n  push: {contact_normal: top}\n  felt: {sensor: touch, unit: N}\n  \
                       places: {joint_positions: [y, box]}\n\
                       action: {seconds: 1, actuators: {push: {range: [0, 0.6], start: low}}}\n";
 
@@ -203,7 +207,7 @@ fn a_sleeping_body_keeps_its_forces_until_something_wakes_it() {
     let touched = places.chunks(8).position(|places| places[0] > 0.44).unwrap();
     assert!(touched > 8, "{touched}");
     for sample in 3..touched {
-        for (name, width) in [("force", 3), ("force_kind", 3), ("mean", 1)] {
+        for (name, width) in [("force", 3), ("force_kind", 3), ("mean", 1), ("push", 3)] {
             let [one, other] =
                 [&episode, &expected].map(|episode| &vector(episode, name)[sample * width..][..width]);
             let is_same = one.iter().zip(other).all(|(one, other)| (one - other).abs() < 0.02);

@@ -110,6 +110,9 @@ fn the_force_on_a_resting_flex_is_its_weight() {
     let world = "modalities:\n  jelly: {normal_force: jelly, average_over: sample}\n  \
                  ground: {normal_force: ground, average_over: sample}\n\
                  action: {actuators: {m: {range: [-0.01, 0.01]}}}\n";
+    let directed = world.replace("normal_force: jelly, average_over: sample", "contact_normal: jelly");
+    let said = scene(model, &directed).unwrap_err();
+    assert!(said.contains("'jelly' is a flex, which has no frame for a direction"), "{said}");
     let scene = scene(model, world).unwrap();
     let episode = run(&scene, 4);
     let (jelly, ground) = (vector(&episode, "jelly"), vector(&episode, "ground"));
