@@ -944,7 +944,7 @@ fn a_latent_state_that_nothing_uses_is_shown_with_its_divergence() {
     // A large weight of the divergence makes the posterior equal to what is expected before the sample.
     for (name, settings) in [
         ("used", &["training.kl_weight=0"][..]),
-        ("unused", &["training.kl_weight=100", "training.epochs=60"]),
+        ("unused", &["training.kl_weight=100", "training.epochs=60", "training.learning_rate=0.01"]),
     ] {
         let name = format!("name={name}");
         succeed(&results, &[&["run", SMOKE, &name][..], &one, settings].concat());

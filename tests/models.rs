@@ -1,7 +1,7 @@
 //! The MJCF files of the repository, the script that composes them, and the version of MuJoCo that all files name.
 
 use harness::simulation::Scene;
-use harness::spec::{Layout, Modality, Scenario, World};
+use harness::spec::{Layout, Scenario, World};
 use std::fs;
 use std::path::Path;
 use std::process::Command;

@@ -81,9 +81,9 @@ fn baselines_are_plotted_beside_the_networks() {
     }
     assert!(svg.contains("contact_force, training mean"));
     // Each of six series of baselines has a dashed line in both panels and one in the legend. Ridge regression's R2 of
-    // the contact force in `empty` lies far below all others.
+    // the joint angles in `cluttered` lies far below all others.
     assert_eq!(svg.matches("stroke-dasharray").count(), 18 - 1);
-    assert!(svg.contains("beyond the axis: contact_force, ridge, empty: \u{2212}"));
+    assert!(svg.contains("beyond the axis: proprioception, ridge, cluttered: \u{2212}"));
 }
 
 #[test]

@@ -242,14 +242,14 @@ fn unknown_names_are_refused_with_the_nearest_one() {
         (
             "input: [proprioception, visoin]",
             "spec.yaml:3:25: unknown modality 'visoin' in 'input'; did you mean 'vision'? Allowed: \
-             proprioception, arm, contact_force, contact_force_mean, vision, wrist, frame_difference, \
-             wrist_difference",
+             proprioception, arm, contact_force, contact_force_mean, contact_normal, vision, wrist, \
+             frame_difference, wrist_difference",
         ),
         (
             "output: [optical_flow]",
             "spec.yaml:4:10: unknown modality 'optical_flow' in 'output'. Allowed: \
-             proprioception, arm, contact_force, contact_force_mean, vision, wrist, frame_difference, \
-             wrist_difference",
+             proprioception, arm, contact_force, contact_force_mean, contact_normal, vision, wrist, \
+             frame_difference, wrist_difference",
         ),
         (
             "scenarios: [clutter]",

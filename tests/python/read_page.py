@@ -531,10 +531,8 @@ def read_on_phone(page: Page):
     said = page.press("joints", Keys.ESCAPE, Keys.END)
     x, y = page.place("joints")
     page.press("joints", Keys.ESCAPE)
-    # The mark is at the lower edge of the plotted area, and its lower half is outside.
-
     def says_the_same_after_touch() -> bool:
-        page.touch([(x, y + 3)])
+        page.touch([(x, y)])
         end = time.monotonic() + 10
         while (same := page.tooltip("joints") == said) is False and time.monotonic() < end:
             time.sleep(0.02)
