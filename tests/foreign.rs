@@ -251,7 +251,14 @@ const HAND: Robot = Robot {
     output: "[joints, contact_force]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.4,
-    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+    compared: &[
+        "normal_force",
+        "contact_normal",
+        "body_positions",
+        "body_orientations",
+        "site_positions",
+        "site_orientations",
+    ],
 };
 /// A four-legged robot of meshes above a height field.
 const HEIGHT_FIELD: Robot = Robot {

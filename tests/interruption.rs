@@ -611,7 +611,10 @@ fn a_dataset_larger_than_memory_is_refused_before_collection() {
     for (status, reason) in statuses(results.path()) {
         // 10^8 samples have 166 numbers each, and 48 more with boxes. The limit is 12 GB, however much the machine has.
         let takes = if reason.contains("cluttered-") { 85.6 } else { 66.4 };
-        assert!(status == "failed" && reason.contains(&format!(" takes {takes} GB of memory and only ")), "{reason}");
+        assert!(
+            status == "failed" && reason.contains(&format!(" takes {takes} GB of memory and only ")),
+            "{reason}"
+        );
     }
 }
 

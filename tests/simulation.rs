@@ -18,6 +18,8 @@ mod course;
 mod factors;
 #[path = "common/finger.rs"]
 mod finger;
+#[path = "simulation/fitness.rs"]
+mod fitness;
 #[path = "simulation/flow.rs"]
 mod flow;
 #[path = "simulation/integrators.rs"]

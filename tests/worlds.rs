@@ -1485,3 +1485,32 @@ fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
     let slides = (0.5 * (value(2).powi(2) + value(3).powi(2))).sqrt();
     assert!((value(0) - slides).abs() < 1e-9 && (value(1) - value(4)).abs() < 1e-9, "{rows}");
 }
+
+#[test]
+fn a_check_says_whether_a_world_is_fit_for_learning_and_what_changes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let soft = folder.path().join("twelve.yaml");
+    fs::copy(models.join("twelve.yaml"), &soft).unwrap();
+    let model = fs::read_to_string(models.join("twelve.xml")).unwrap();
+    let model = model.replace(" forcerange=\"-60 60\"", "").replace(" solref=\"0.003 1.5\"", "");
+    fs::write(soft.with_extension("xml"), model).unwrap();
+    let (soft, own) = (soft.display().to_string(), models.join("twelve.yaml").display().to_string());
+    let check = |more: &[&str]| succeed(folder.path(), &[&["world", "check"], more].concat());
+    let said = check(&[&soft]);
+    let row = |name: &str| said.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
+    assert!(row("penetration, 99 %, in half the thickness").contains("<= 0.067   !"), "{said}");
+    assert!(said.contains("note: penetration, 99 %, in half the thickness is "), "{said}");
+    assert!(
+        said.contains(", above 0.22: make the contacts stiffer (a smaller first value of solref"),
+        "{said}"
+    );
+    // A table of several worlds marks what is beyond its limit, and prints each world's limit.
+    let both = check(&[&soft, &own, "cluttered", "--episodes", "1", "--format", "markdown"]);
+    let line = both.lines().find(|line| line.contains("penetration, most, in half")).unwrap();
+    assert!(line.contains("<= 0.22 or 0.33") && line.matches("**").count() == 2, "{both}");
+    let table = folder.path().join("found.csv").display().to_string();
+    assert!(check(&[&own, "--episodes", "1", "--output", &table]).starts_with("17 findings in "));
+    let refused = finish(&mut harness(folder.path(), &["world", "check", &soft, "cluttered", "--all"]));
+    assert!(refused.code == 2 && refused.stderr.contains("check each world alone"), "{}", refused.stderr);
+}

@@ -7,6 +7,7 @@ mod doctor;
 mod experiments;
 mod export;
 mod figures;
+mod fitness;
 mod format;
 mod import;
 mod inspect;

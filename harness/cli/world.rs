@@ -1,7 +1,10 @@
 //! `harness world`: lists the worlds, checks a world file, and writes one for an MJCF model.
 
 use super::DONE;
+use super::fitness::{judge, print_judgement};
+use super::format::{Destination, Form};
 use super::render::save;
+use super::sheet::Style;
 use super::table::{print_beside, print_text, shown};
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -24,11 +27,18 @@ pub struct Command {
 enum Action {
     /// List the built-in worlds
     List,
-    /// Compile a world's model, and print what each entry of its file matches
+    /// Print what each entry of a world's file matches, and whether the world is fit for learning
+    ///
+    /// Of several worlds, or with --format or --output, it prints or writes only the table of the latter.
     Check {
-        /// A world file, or the name of a built-in world
-        #[arg(value_name = "WORLD")]
-        world: String,
+        /// World files, or names of built-in worlds
+        #[arg(value_name = "WORLD", required = true)]
+        worlds: Vec<String>,
+        /// The number of episodes that are simulated to find out whether the world is fit for learning
+        #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+        episodes: u32,
+        #[command(flatten)]
+        destination: Destination,
         /// A folder for a picture of every camera of the model, and for the images that networks get
         #[arg(long, value_name = "DIR")]
         render: Option<PathBuf>,
@@ -59,6 +69,11 @@ pub enum WorldError {
     /// The file exists already.
     #[error("{} exists already; name another file with --output", .0.display())]
     Exists(PathBuf),
+    /// Options that describe one world, with several or with a format.
+    #[error(
+        "--render and --all are about one world, without --format and --output; leave them out, or check each world alone"
+    )]
+    Several,
     /// The file's name can't be that of a world.
     #[error(
         "a world is named after its file, and '{name}' {why}; write it to a file with another name: `harness {command}`"
@@ -89,14 +104,18 @@ impl Command {
                 };
                 print_beside(World::built_in().iter().map(named));
             }
-            Action::Check { world, render, all } => {
-                let world = World::find(&world)?;
-                world.check_rates()?;
-                let scene = Scene::new(world)?;
-                scene.check_starts()?;
-                check(&scene, all)?;
+            Action::Check { worlds, episodes, destination, render, all } => {
+                let scenes: Vec<Scene> =
+                    worlds.iter().map(|world| checked_scene(world)).collect::<Result<_>>()?;
+                let scene = match (scenes.as_slice(), destination.form()?) {
+                    ([scene], Form::Page(Style::Text)) => scene,
+                    _ if all || render.is_some() => return Err(WorldError::Several.into()),
+                    (scenes, form) => return judge(scenes, episodes, form),
+                };
+                check(scene, all)?;
+                print_judgement(scene, episodes)?;
                 if let Some(folder) = render {
-                    render_cameras(&scene, &folder)?;
+                    render_cameras(scene, &folder)?;
                 }
                 for warning in scene.warnings() {
                     eprintln!("warning: {warning}");
@@ -107,6 +126,15 @@ impl Command {
         }
         Ok(ExitCode::from(DONE))
     }
+}
+
+/// Compiles a world's model, and checks the rates and the start of episodes.
+fn checked_scene(world: &str) -> Result<Scene> {
+    let world = World::find(world)?;
+    world.check_rates()?;
+    let scene = Scene::new(world)?;
+    scene.check_starts()?;
+    Ok(scene)
 }
 
 /// Writes a first world file for a model and, if `actuate` is set, a copy of the model with what its action moves.

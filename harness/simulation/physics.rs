@@ -9,7 +9,9 @@ use super::placement::check_start;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading};
 use super::scene::{Scene, read_state};
-use super::sensors::{MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds, write_normals};
+use super::sensors::{
+    MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds, write_normals,
+};
 use super::timing::Timing;
 use harness_spec::{Layout, Modality, Pose, Posed, Simulation};
 use mujoco_rs::prelude::*;

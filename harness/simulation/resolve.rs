@@ -288,7 +288,17 @@ impl<'a> Resolver<'a> {
         let force_of_geom = vec![None; model.ngeom() as usize];
         let force_of_flex = vec![None; model.nflex() as usize];
         let (contact_kinds, normals, posed) = (Vec::new(), Vec::new(), Vec::new());
-        Self { world, model, force_of_geom, force_of_flex, forces: 0, contact_kinds, normals, posed, tip: None }
+        Self {
+            world,
+            model,
+            force_of_geom,
+            force_of_flex,
+            forces: 0,
+            contact_kinds,
+            normals,
+            posed,
+            tip: None,
+        }
     }
 
     pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
@@ -524,7 +534,8 @@ impl<'a> Resolver<'a> {
                 self.contact_forces(names, path, mean)?
             }
             Source::ContactNormal(names) => {
-                definition.meaning = "Direction of the normal contact force, in the frame of the body, on link".into();
+                definition.meaning =
+                    "Direction of the normal contact force, in the frame of the body, on link".into();
                 self.contact_normals(names, path)?
             }
             Source::Pose { names, of, orientation, relative_to } => {

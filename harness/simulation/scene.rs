@@ -5,8 +5,8 @@ use super::load::{compile_error, load_file, load_text, read_model};
 use super::names::{CAMERA, called};
 use super::plugins::load_plugins;
 use super::resolve::{
-    Area, ContactKinds, ContactNormal, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera, SceneCoded,
-    SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
+    Area, ContactKinds, ContactNormal, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera,
+    SceneCoded, SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
 };
 use super::settled::Settling;
 use super::standing::GroundModel;
