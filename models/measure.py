@@ -1,11 +1,10 @@
 """Measures the values in the section "Measured" of models/README.md, and prints them as Markdown tables.
 
-    .venv/bin/python models/measure.py                           # all tables
-    .venv/bin/python models/measure.py settling                  # one table; --help lists all
-    .venv/bin/python models/measure.py criteria empty cluttered  # the criteria of two worlds
+    .venv/bin/python models/measure.py             # all tables
+    .venv/bin/python models/measure.py settling    # one table; --help lists all
 
-The models in this folder are changed and simulated with MuJoCo's Python package. `rendering` and the speed in `criteria`
-depend on the machine. Of all others, every call prints the same.
+The models in this folder are changed and simulated with MuJoCo's Python package. `rendering` depends on the machine. Of
+all others, every call prints the same.
 
 All values are in SI units, angles in radians.
 """
@@ -18,7 +17,6 @@ import time
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa then renders on the calling thread
 
-import criteria as fitness
 import mujoco
 import numpy as np
 
@@ -287,33 +285,15 @@ def frame_seconds(model, side):
     return min(times)
 
 
-def criteria(worlds=fitness.WORLDS):
-    """Prints whether worlds are fit for learning, and what describes their contacts."""
-    print_table(*fitness.criteria(worlds))
-
-
-def tried(worlds=fitness.WORLDS):
-    """Prints which criteria failed with the values that were tried."""
-    print_table(*fitness.tried(worlds))
-
-
-OF_WORLDS = {"criteria": criteria, "tried": tried}
-TABLES = {**OF_WORLDS, **{function.__name__: function for function in (settling, cones, modes, rendering)}}
+TABLES = {function.__name__: function for function in (settling, cones, modes, rendering)}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", nargs="?", choices=TABLES, help="the table to print; all if none is given")
-    parser.add_argument("worlds", nargs="*", metavar="world", help=f"for {' and '.join(OF_WORLDS)} [default: all]")
-    options = parser.parse_args()
-    unknown = set(options.worlds) - set(fitness.WORLDS)
-    if unknown or (options.worlds and options.table not in OF_WORLDS):
-        parser.error(f"worlds are {', '.join(fitness.WORLDS)}, and only {' and '.join(OF_WORLDS)} take them")
-    if options.worlds:
-        OF_WORLDS[options.table](options.worlds)
-    else:
-        for function in [TABLES[options.table]] if options.table else TABLES.values():
-            function()
+    table = parser.parse_args().table
+    for function in [TABLES[table]] if table else TABLES.values():
+        function()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ use anyhow::Result;
 use harness::numbers::counted;
 use harness::simulation::{Finding, Limit, Scene, SimulationError, fitness};
 use polars::prelude::{Column, DataFrame};
+use std::collections::BTreeSet;
 use std::process::ExitCode;
 
 /// Prints or writes whether worlds are fit for learning, from the first `episodes` of each.
@@ -85,8 +86,7 @@ fn grid(names: &[&str], found: &[Vec<Finding>], style: Style) -> Grid {
     };
     // A limit that depends on the world is written for each.
     let limits = |row: usize| {
-        let mut all: Vec<String> = found.iter().map(|of| limit(&of[row])).collect();
-        all.dedup();
+        let all: BTreeSet<String> = found.iter().map(|of| limit(&of[row])).collect();
         let all: Vec<&str> =
             all.iter().enumerate().map(|(place, one)| if place > 0 { &one[3..] } else { one }).collect();
         all.join(" or ")
