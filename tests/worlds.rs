@@ -598,7 +598,7 @@ fn a_check_of_many_values_is_short() {
     // 7 x 7 taxels with three values each.
     let (short, all) = (check(&[]), check(&["--all"]));
     assert!(short.contains("147 values: ") && short.contains("(147 names; --all prints them)"), "{short}");
-    assert!(!all.contains("--all") && all.len() > 2 * short.len(), "{all}");
+    assert!(!all.contains("--all") && all.len() > short.len() + 1000, "{all}");
 }
 
 #[test]
@@ -630,7 +630,9 @@ fn a_check_notes_hidden_geoms_slow_rendering_and_rk4() {
     let tuned = model.replace("<visual></visual>", quality).replace(" integrator=\"RK4\"", "");
     fs::write(&file, tuned.replace("name=\"eye\"", "name=\"eye\" pos=\"0.2 0 0\"")).unwrap();
     let said = succeed(folder.path(), &["world", "check", &path]);
-    assert!(said.contains(" ms for the images of a sample") && !said.contains("note: "), "{said}");
+    // The servo is weak, which is another matter.
+    let (listed, _) = said.split_once("\nFitness for learning").unwrap();
+    assert!(listed.contains(" ms for the images of a sample") && !listed.contains("note: "), "{said}");
 }
 
 #[test]
