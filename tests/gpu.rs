@@ -426,6 +426,7 @@ impl Kind {
                 memory_samples: 5,
             },
             arithmetic: arithmetic(precision),
+            changes: BTreeMap::new(),
         }
     }
 
@@ -496,7 +497,7 @@ impl Kind {
             let Seen { state, divergence, .. } =
                 network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
             let mut loss = (divergence * 1e-2)?;
-            let wanted = Targets { values: &targets, losses: &Default::default(), parts: 1 };
+            let wanted = Targets { values: &targets, losses: &Default::default(), parts: 1, added: None };
             for term in network.losses(&state, wanted)? {
                 loss = (loss + term.value.get(0)?)?;
             }

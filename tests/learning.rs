@@ -37,6 +37,8 @@ use walks::{walks, walks_of};
 
 #[path = "learning/additions.rs"]
 mod additions;
+#[path = "learning/changes.rs"]
+mod changes;
 #[path = "common/finger.rs"]
 mod finger;
 #[path = "learning/memory.rs"]
@@ -514,6 +516,7 @@ impl Twin {
                     memory,
                     ..Network::default()
                 },
+                changes: BTreeMap::new(),
                 arithmetic,
             },
         }
@@ -569,7 +572,7 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         (Modality::CONTACT_FORCE, "target.contact_force"),
         (Modality::FRAME_DIFFERENCE, "target.frame_difference"),
     ]);
-    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
+    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3).unwrap();
     for step in 0..3 {
         let posterior = encoder.encode(&observation).unwrap();
@@ -699,6 +702,7 @@ impl Bench {
             action: ARM_JOINTS,
             network: self.network.clone(),
             arithmetic: Arithmetic::best(),
+            changes: BTreeMap::new(),
         }
     }
 
@@ -1279,6 +1283,7 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
                 action: ARM_JOINTS,
                 network: Network { hidden, channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
                 arithmetic: Arithmetic::best(),
+                changes: BTreeMap::new(),
             };
             let mut parameters = Parameters::new();
             architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();

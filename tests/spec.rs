@@ -73,6 +73,7 @@ fn what_is_left_out_gets_its_default() {
         scenarios: vec![Scenario::EMPTY.into(), Scenario::CLUTTERED.into()],
         input: vec![Modality::PROPRIOCEPTION, Modality::ARM],
         output: vec![Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE],
+        outputs: Default::default(),
         latent: vec![2, 4],
         seeds: vec![0],
         tasks: vec![Task::Prediction, Task::Reconstruction],
@@ -212,7 +213,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "training:\n  bacth_size: 5\n",
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
-             rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, losses, \
+             rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, predict, losses, \
              loss_weights, dropout, precision, tiles, device",
         ),
         (
@@ -221,16 +222,16 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         ),
         (
             "training: {loss_weights: {force: 2}}\n",
-            "spec.yaml:7:34: 'force' has a loss weight but is not an output; outputs: proprioception, contact_force",
+            "spec.yaml:7:34: 'force' is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {losses: {vision: absolute}}\n",
-            "spec.yaml:7:29: 'vision' has a loss but is not an output; outputs: proprioception, contact_force",
+            "spec.yaml:7:29: 'vision' is not an output; outputs: proprioception, contact_force",
         ),
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, \
+             input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, \
              search, readings, quick",
         ),
     ]);
@@ -499,11 +500,11 @@ fn rules_that_tie_settings_together_are_checked() {
         ),
         (
             "training: {loss_weights: {vision: 1}}\n",
-            "spec.yaml:7:35: 'vision' has a loss weight but is not an output; outputs: proprioception, contact_force",
+            "spec.yaml:7:35: 'vision' is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {losses: {arm: huber}}\n",
-            "spec.yaml:7:26: 'arm' has a loss but is not an output; outputs: proprioception, contact_force",
+            "spec.yaml:7:26: 'arm' is not an output; outputs: proprioception, contact_force",
         ),
         (
             "training: {loss_weights: {proprioception: 0, contact_force: 0}}\n",
@@ -778,7 +779,7 @@ fn a_file_that_an_override_makes_impossible_is_blamed_with_it() {
     let text = format!("{BASE}training: {{loss_weights: {{contact_force: 2}}}}\n");
     assert_eq!(
         load_with(text, &["output=[arm]"], false).unwrap_err(),
-        "spec.yaml:7:42: 'contact_force' has a loss weight but is not an output; outputs: arm \
+        "spec.yaml:7:42: 'contact_force' is not an output; outputs: arm \
          (after applying the overrides)"
     );
 }
@@ -1326,6 +1327,67 @@ fn values_that_make_the_same_runs_are_refused() {
 }
 
 #[test]
+fn settings_of_outputs_are_those_that_training_stores() {
+    let old = "training: {losses: {contact_force: huber}, loss_weights: {contact_force: 2}}\n";
+    let new = "outputs: {contact_force: {loss: huber, weight: 2, predict: value}}\n";
+    let runs = |text: &str, overrides: &[&str]| {
+        let runs = load_with(&format!("{BASE}{text}"), overrides, false).unwrap().runs();
+        runs.iter().map(|run| (run.variant.clone(), run.hash())).collect::<Vec<_>>()
+    };
+    assert_eq!(runs(old, &[]), runs(new, &[]));
+    // The later value counts, whichever key it has.
+    let weighted =
+        runs("training: {loss_weights: {contact_force: 3}, losses: {contact_force: huber}}\n", &[]);
+    for text in [old, new] {
+        for key in ["training.loss_weights.contact_force=3", "outputs.contact_force.weight=3"] {
+            assert_eq!(runs(text, &[key]), weighted, "{text} {key}");
+        }
+    }
+    // So it does in a label, and an override replaces all values of an axis.
+    let hashes = |text: &str, overrides: &[&str]| -> Vec<String> {
+        runs(text, overrides).into_iter().map(|(_, hash)| hash).collect()
+    };
+    let labels = |key: &str| format!("{new}vary: {{a: {{light: {{}}, heavy: {{{key}: 3}}}}}}\n");
+    let [one, other] = ["outputs.contact_force.weight", "training.loss_weights.contact_force"].map(labels);
+    assert_eq!(hashes(&one, &[]), hashes(&other, &[]));
+    assert_ne!(hashes(&one, &[])[0], hashes(&one, &[]).pop().unwrap());
+    let axis = format!("{new}vary: {{outputs.contact_force.weight: [2, 3]}}\n");
+    assert_eq!(runs(&axis, &[]).len(), 2 * runs(new, &[]).len());
+    assert_eq!(runs(&axis, &["training.loss_weights.contact_force=3"]).len(), runs(new, &[]).len());
+    // A change is stored, and a value is not.
+    let text = format!(
+        "{}outputs: {{contact_force: {{predict: change}}}}\n",
+        BASE.replace("input: [", "input: [contact_force, ")
+    );
+    let stored = serde_json::to_value(&load(&text).runs()[0]).unwrap();
+    assert_eq!(stored["training"]["predict"], serde_json::json!({"contact_force": "change"}));
+    assert!(load(BASE).runs()[0].to_yaml().lines().all(|line| !line.contains("predict:")));
+    assert_refused(&[
+        (
+            &format!("{new}training: {{loss_weights: {{contact_force: 2}}}}\n"),
+            "spec.yaml:7:48: 'training.loss_weights.contact_force' sets it as well; keep only one of them",
+        ),
+        (
+            "outputs: {arm: {weight: 2}}\n",
+            "spec.yaml:7:25: 'arm' is not an output; outputs: proprioception, contact_force",
+        ),
+        (
+            "outputs: {contact_force: {predict: change}}\n",
+            "spec.yaml:7:36: 'contact_force' is not an input, so the network does not know to what the change is \
+             added; inputs: proprioception, arm",
+        ),
+        (
+            "outputs: {contact_force: {predict: delta}}\n",
+            "spec.yaml:7:36: unknown predict 'delta' in 'outputs.contact_force.predict'. Allowed: value, change",
+        ),
+        (
+            "outputs: {proprioception: {weight: 0}, contact_force: {weight: 0}}\n",
+            "spec.yaml:7:1: every output has weight 0, so there is nothing to learn",
+        ),
+    ]);
+}
+
+#[test]
 fn a_reading_weights_outputs_that_only_some_roles_have() {
     let reading = "readings: [{name: heavy, choice: c, base: b, instead: i, paper: p, settings: \
         {training.loss_weights.arm: 3, training.loss_weights.contact_force: 2}}]\n";
@@ -1349,7 +1411,7 @@ fn a_reading_weights_outputs_that_only_some_roles_have() {
     assert_eq!(weights("large"), [("arm", 3.0), ("contact_force", 2.0)]);
     // No role predicts the camera's image.
     let said = refusal(text.replace("loss_weights.arm", "loss_weights.vision"));
-    assert!(said.contains("'vision' has a loss weight but is not an output"), "{said}");
+    assert!(said.contains("'vision' is not an output"), "{said}");
 }
 
 /// A spec with two roles, two readings besides the base, and two datasets.
@@ -1546,7 +1608,7 @@ fn a_complete_spec_has_every_setting_with_its_default() {
     for key in spec::setting_names() {
         let parts: Vec<&str> = key.split('.').collect();
         let expected = match parts[..] {
-            ["training", "loss_weights" | "losses", name] => {
+            ["training", "loss_weights" | "losses" | "predict", name] => {
                 run.output.iter().any(|output| output.name() == name)
             }
             ["scaling", name, _] => used.iter().any(|modality| modality.name() == name),
@@ -1642,6 +1704,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         scenarios: some(&Scenario::PAPER, random).into_iter().map(Origin::from).collect(),
         input,
         output,
+        outputs: Default::default(),
         latent: some(&[1, 2, 16, 4096], random),
         seeds: some(&[0, 1, spec::MAX_SEED], random),
         tasks: if random.random() { vec![Task::Prediction] } else { Task::ALL.to_vec() },
@@ -1686,6 +1749,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             stop: *Stop::ALL.choose(random).unwrap(),
             kl_weight: random.random_range(0.0..1e6),
             losses,
+            predict: Default::default(),
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
             precision: harness_spec::Precision::F32,

@@ -140,6 +140,7 @@ fn main() -> anyhow::Result<()> {
             ..Network::default()
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
+        changes: BTreeMap::new(),
     };
     let batch = arguments.batch;
     if !batch.is_multiple_of(arguments.context) {
@@ -168,7 +169,7 @@ fn main() -> anyhow::Result<()> {
         vector(Modality::CONTACT_FORCE, target.narrow(1, 20, 20)?.contiguous()?),
     ];
     let values: Observation = changed.into_iter().chain(vectors).collect();
-    let targets = Targets { values: &values, losses: &Default::default(), parts: 1 };
+    let targets = Targets { values: &values, losses: &Default::default(), parts: 1, added: None };
     let mut step = |random: &mut Random, adam: &mut Adam| -> candle_core::Result<Tensor> {
         let draw = &mut Draw::Sample { random, dropout: 0.0 };
         let encoded = network.encode(&observation, draw)?;

@@ -394,7 +394,7 @@ fn error_words(error: f64) -> String {
 fn comparable<'p, 'a>(plan: &'p [&'a Planned]) -> impl Iterator<Item = &'p [&'a Planned]> {
     let measured = |planned: &'a Planned| {
         let spec = &planned.spec;
-        let losses = spec.trained().map(|trained| &trained.training.losses);
+        let losses = spec.trained().map(|trained| (&trained.training.losses, &trained.training.predict));
         (&spec.simulation, &spec.split, &spec.output, &spec.scaling, losses)
     };
     let scenarios = plan.chunk_by(|a, b| a.spec.scenario == b.spec.scenario);

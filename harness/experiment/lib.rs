@@ -537,7 +537,9 @@ impl TrainingRun<'_> {
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let architecture = architecture(spec, self.trained, data.samples.layout(), task);
+        let changes = data.normalizers.change_ratios();
+        let architecture =
+            Architecture { changes, ..architecture(spec, self.trained, data.samples.layout(), task) };
         let network = architecture.network(&mut parameters, &mut random, &data.device);
         let objective = Prediction {
             data,

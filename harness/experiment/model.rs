@@ -165,13 +165,14 @@ impl Model {
     ) -> Result<Values, ModelError> {
         let elements = self.record.layout.action().len();
         check("action", batch, elements, &action)?;
+        let present = |modality: Modality| observation[&modality].clone();
         let observation = self.observation(batch, observation)?;
         self.normalizers.action.normalize(&mut action);
         let predicted = || -> candle_core::Result<_> {
             let latent = self.encoder.encode(&observation)?.mean()?;
             let action = Tensor::from_vec(action, (batch, elements), &Device::Cpu)?;
             let decoded = self.decoder.decode(&latent, Some(&action))?;
-            predict::denormalized(&self.normalizers, &self.record.spec.output, &decoded)
+            predict::predicted(&self.normalizers, &self.record.spec.output, &decoded, present)
         };
         Ok(predicted().map_err(LearningError::from)?.into_iter().collect())
     }
@@ -269,10 +270,16 @@ impl From<LearningError> for ModelError {
 
 /// Loads the parameters of a network and returns its normalizers. Fails if there is no file at `path`.
 pub(crate) fn load_network(path: &Path, parameters: &Parameters) -> Result<Normalizers, ModelError> {
-    if !path.exists() {
-        return Err(ModelError::NoNetwork(path.to_owned()));
-    }
-    Ok(checkpoint::load(path, parameters)?)
+    Ok(checkpoint::load(there(path)?, parameters)?)
+}
+
+/// Returns the normalizers of a network. Fails if there is no file at `path`.
+pub(crate) fn normalizers(path: &Path) -> Result<Normalizers, ModelError> {
+    Ok(checkpoint::open(there(path)?)?.1)
+}
+
+fn there(path: &Path) -> Result<&Path, ModelError> {
+    if path.exists() { Ok(path) } else { Err(ModelError::NoNetwork(path.to_owned())) }
 }
 
 fn load_reconstruction(

@@ -1,12 +1,12 @@
 //! What a run's network predicts along an episode, some samples ahead.
 
-use super::model::{ModelError, applied, finished, load_network};
+use super::model::{ModelError, applied, finished, load_network, normalizers};
 use candle_core::Device;
 use harness_dataset::{AnyDataset, DatasetError};
 use harness_judge::{BATCH, JudgeError, Predictor};
 use harness_learning::LearningError;
 use harness_learning::data::NormalizedData;
-use harness_learning::network::Parameters;
+use harness_learning::network::{Architecture, Parameters};
 use harness_learning::predict::TrainedNetwork;
 use harness_learning::random::{Random, Stream};
 use harness_registry::{Registry, RunRecord};
@@ -114,9 +114,12 @@ pub fn rollout(
     let task = Task::Prediction;
     let mut parameters = Parameters::new();
     let mut random = Random::new(spec.seed, Stream::Parameters(task));
-    let network = applied(&record, &trained, task).network(&mut parameters, &mut random, &Device::Cpu);
+    let path = folder.checkpoint(task);
+    let changes = normalizers(&path)?.change_ratios();
+    let architecture = Architecture { changes, ..applied(&record, &trained, task) };
+    let network = architecture.network(&mut parameters, &mut random, &Device::Cpu);
     let network = network.map_err(|error| ModelError::from(LearningError::from(error)))?;
-    let normalizers = load_network(&folder.checkpoint(task), &parameters)?;
+    let normalizers = load_network(&path, &parameters)?;
 
     let path = registry.datasets().join(&record.dataset);
     if !path.is_dir() {

@@ -1,7 +1,9 @@
 //! Schedules the runs of a plan: over several jobs of this process, and beside other processes that use the same
 //! results folder.
 
-use super::{ExperimentError, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes};
+use super::{
+    ExperimentError, OpenData, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes,
+};
 use harness_collection::check_missing;
 use harness_dataset::AnyDataset;
 use harness_learning::open_device;
@@ -386,7 +388,12 @@ impl WorkerPool<'_> {
         let own = everyone.job(&spec.label());
         let progress = own.as_deref().unwrap_or(everyone);
         let epochs = LiveEpochs::of(claimed);
-        let data = prepared.open.data.on(open_device(trained.training.device)?);
+        let OpenData { data, partition, .. } = &prepared.open;
+        let mut data = data.on(open_device(trained.training.device)?);
+        let changes = &trained.training.predict;
+        if !changes.is_empty() {
+            data = data.predicting_changes(changes.keys().copied(), &partition.training, spec.window.horizon);
+        }
         TrainingRun { spec, trained, claimed, prepared: &prepared, data, progress, epochs }.run()
     }
 

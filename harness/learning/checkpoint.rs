@@ -8,7 +8,7 @@ use candle_core::{Device, Result as CandleResult, Tensor};
 use harness_samples::{Normalizer, Normalizers};
 use harness_spec::Modality;
 use serde_json::{Map, json};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Key of the network's description in a file's note.
@@ -35,7 +35,15 @@ pub fn save(
             tensors.insert(format!("scale.{name}.minimum"), vector(&[minimum])?);
         }
     }
+    for (modality, change) in &normalizers.changes {
+        tensors.insert(change_of(*modality), vector(&change.std)?);
+    }
     TensorFile { tensors, note: Map::from_iter([(NETWORK.to_owned(), json!(network))]) }.write(path)
+}
+
+/// Returns the name of the tensor that normalizes the changes of a modality.
+pub(crate) fn change_of(modality: Modality) -> String {
+    format!("scale.{modality}.change")
 }
 
 fn vector(values: &[f32]) -> CandleResult<Tensor> {
@@ -73,10 +81,15 @@ pub fn open(path: &Path) -> Result<(TensorFile, Normalizers), LearningError> {
     let names = file.tensors.keys().filter_map(|key| key.strip_prefix("scale.")?.strip_suffix(".mean"));
     let modalities = names.filter(|name| *name != "action").filter_map(Modality::new);
     let modalities = modalities.filter_map(|modality| Some((modality, normalizer(modality.name())?)));
-    let modalities = modalities.collect();
+    let modalities: BTreeMap<Modality, Normalizer> = modalities.collect();
+    let change = |(&modality, scale): (&Modality, &Normalizer)| {
+        let std = file.tensors.get(&change_of(modality))?.to_vec1().ok()?;
+        Some((modality, Normalizer { mean: vec![0.0; scale.mean.len()], std, minimum: None }))
+    };
+    let changes = modalities.iter().filter_map(change).collect();
     let action = normalizer("action").ok_or_else(|| LearningError::Damaged {
         path: path.to_owned(),
         reason: "it has no scale of the action".into(),
     })?;
-    Ok((file, Normalizers { modalities, action }))
+    Ok((file, Normalizers { modalities, action, changes }))
 }

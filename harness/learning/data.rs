@@ -20,11 +20,21 @@ pub struct NormalizedData {
     pub action: Action,
     /// The device on which tensors are created.
     pub device: Device,
-    /// The normalized vectors of all samples and, without a modality, the actions after all but the last, `[samples,
-    /// width]`. They are on a GPU, to which they are copied once.
-    tables: Arc<Mutex<BTreeMap<Option<Modality>, Tensor>>>,
+    /// What is copied to the device once.
+    tables: Arc<Mutex<BTreeMap<Table, Tensor>>>,
     /// The images of all samples, on a GPU.
     images: Images,
+}
+
+/// What lies on the device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Table {
+    /// The normalized vectors of all samples, `[samples, width]`.
+    Vectors(Modality),
+    /// The actions after all samples but the last, `[samples - 1, elements]`.
+    Actions,
+    /// The factors that turn a change in units of the values' deviation into a normalized one, `[width]`.
+    Change(Modality),
 }
 
 impl NormalizedData {
@@ -36,6 +46,44 @@ impl NormalizedData {
     /// Returns the same data for a network on another device.
     pub fn on(&self, device: Device) -> Self {
         Self::new(self.samples.clone(), self.normalizers.clone(), self.action, device)
+    }
+
+    /// Returns the same data for a network that predicts changes of `modalities`, until `horizon` samples after each of
+    /// the samples in `present`.
+    pub fn predicting_changes(
+        &self,
+        modalities: impl Iterator<Item = Modality>,
+        present: &[Sample],
+        horizon: usize,
+    ) -> Self {
+        let normalizers = self.normalizers.with_changes(&self.samples, present, modalities, horizon);
+        Self { normalizers: Arc::new(normalizers), ..self.clone() }
+    }
+
+    /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of
+    /// `modalities`, or their changes since `present`.
+    ///
+    /// # Errors
+    /// When a tensor can't be created on the device.
+    pub fn targets(&self, at: &[Sample], present: &[Sample], modalities: &[Modality]) -> Result<Observation> {
+        let changes = &self.normalizers.changes;
+        let (changed, valued): (Vec<Modality>, Vec<Modality>) =
+            modalities.iter().partition(|modality| changes.contains_key(modality));
+        let values = self.observation(at, &valued)?;
+        let change = |modality: Modality| {
+            let change = (self.vectors(at, modality)? - self.vectors(present, modality)?)?;
+            let factors = self.table(Table::Change(modality), || {
+                let ratios = &self.normalizers.change_ratios()[&modality];
+                Tensor::from_vec(
+                    ratios.iter().map(|ratio| ratio.recip()).collect(),
+                    ratios.len(),
+                    &self.device,
+                )
+            })?;
+            Ok((modality, Value::Vector(change.broadcast_mul(&factors)?)))
+        };
+        let changes = changed.into_iter().map(change).collect::<Result<Vec<_>>>()?;
+        Ok(values.into_iter().chain(changes).collect())
     }
 
     /// Returns the normalized values of `modalities` at the samples `at`.
@@ -59,27 +107,26 @@ impl NormalizedData {
         if self.device.is_cpu() {
             return self.matrix(self.normalizers.vectors(&self.samples, at, &[modality]), at.len());
         }
-        self.rows(at, Some(modality), || {
+        self.rows(at, Table::Vectors(modality), || {
             let mut values = self.samples.vectors(modality).to_vec();
             self.normalizers.modalities[&modality].normalize(&mut values);
             self.matrix(values, self.samples.len())
         })
     }
 
-    /// Returns rows of a table, which is made if there is none: that of a vector, or of the actions.
-    fn rows(
-        &self,
-        at: &[Sample],
-        table: Option<Modality>,
-        make: impl FnOnce() -> Result<Tensor>,
-    ) -> Result<Tensor> {
-        let mut tables = self.tables.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let table = match tables.entry(table) {
-            Entry::Occupied(table) => table.into_mut(),
-            Entry::Vacant(place) => place.insert(make()?),
-        };
+    /// Returns rows of a table, which is made if there is none.
+    fn rows(&self, at: &[Sample], table: Table, make: impl FnOnce() -> Result<Tensor>) -> Result<Tensor> {
         let indices = Values::U32(indices(at));
-        table.index_select(&input(indices, at.len(), &self.device)?, 0)
+        self.table(table, make)?.index_select(&input(indices, at.len(), &self.device)?, 0)
+    }
+
+    /// Returns a table, which is made if there is none.
+    fn table(&self, table: Table, make: impl FnOnce() -> Result<Tensor>) -> Result<Tensor> {
+        let mut tables = self.tables.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        Ok(match tables.entry(table) {
+            Entry::Occupied(table) => table.get().clone(),
+            Entry::Vacant(place) => place.insert(make()?).clone(),
+        })
     }
 
     /// Returns `values` as a matrix of `rows` rows.
@@ -98,7 +145,9 @@ impl NormalizedData {
         if self.device.is_cpu() {
             return actions(at);
         }
-        self.rows(at, None, || actions(&(0..self.samples.len() - 1).map(Sample::at).collect::<Vec<_>>()))
+        self.rows(at, Table::Actions, || {
+            actions(&(0..self.samples.len() - 1).map(Sample::at).collect::<Vec<_>>())
+        })
     }
 }
 

@@ -78,11 +78,11 @@ impl Objective for Prediction<'_> {
         let start = self.burned_in(at, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
         let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &mut draw)?;
-        let losses = |state: &State, of: &[Sample], parts: usize| {
-            let values = data.observation(of, self.output)?;
-            network.losses(state, Targets { values: &values, losses: &training.losses, parts })
+        let losses = |state: &State, of: &[Sample], present: &[Sample], parts: usize| {
+            let values = data.targets(of, present, self.output)?;
+            network.losses(state, Targets { values: &values, losses: &training.losses, parts, added: None })
         };
-        let next = losses(&state, &after(&seen, 1), 1)?;
+        let next = losses(&state, &after(&seen, 1), &seen, 1)?;
         let further = window.horizon - 1;
         let terms = if further == 0 {
             next
@@ -92,7 +92,7 @@ impl Objective for Prediction<'_> {
                 seen = rows.iter().map(|row| seen[*row as usize]).collect();
             }
             let state = network.imagine(&state, &data.actions(&later(&seen, 1, further))?)?;
-            joined(next, losses(&state, &later(&seen, 2, further), further)?)?
+            joined(next, losses(&state, &later(&seen, 2, further), &seen.repeat(further), further)?)?
         };
         let mut terms = weighted(means(terms, training.discount)?, &training.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });
@@ -102,7 +102,10 @@ impl Objective for Prediction<'_> {
     fn indices(&self, at: &[Sample]) -> Result<Vec<Vec<u32>>> {
         let (burned, seen) = (times(at, self.trained()..self.context()), times(at, 0..self.trained()));
         let further = self.window.horizon - 1;
-        let taken = [burned, after(&seen, 1), later(&seen, 1, further), later(&seen, 2, further), seen];
+        let present =
+            if self.data.normalizers.changes.is_empty() { Vec::new() } else { seen.repeat(further) };
+        let taken =
+            [burned, after(&seen, 1), later(&seen, 1, further), later(&seen, 2, further), present, seen];
         Ok(taken.iter().map(|at| indices(at)).collect())
     }
 
@@ -232,7 +235,7 @@ pub struct Reconstruction<'a> {
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
         let values = self.data.observation(at, self.input)?;
-        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1 };
+        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
         let terms = means(self.decoder.losses(&self.latents.rows(at)?, None, targets)?, 1.0)?;
         Ok(weighted(terms, &BTreeMap::new()))
     }

@@ -25,6 +25,15 @@ impl FromIterator<(Modality, Value)> for Observation {
     }
 }
 
+impl IntoIterator for Observation {
+    type Item = (Modality, Value);
+    type IntoIter = std::collections::btree_map::IntoIter<Modality, Value>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.0.into_iter()
+    }
+}
+
 impl Observation {
     /// Returns the values of a modality; `None` if it was not given.
     pub fn get(&self, modality: Modality) -> Option<&Value> {

@@ -26,6 +26,8 @@ const LOG_VARIANCE: &str = "latent.log_variance";
 /// Names of the state that a network with memory takes, and of the one that it returns.
 const STATE: &str = "state";
 const NEXT_STATE: &str = "state.next";
+/// Whether the sample is seen.
+const IS_SEEN: &str = "seen.is";
 /// Values of the last sample that the state of a network with memory consists of, in this order.
 const LAST_MEMORY: &str = "state.memory";
 const LAST_LATENT: &str = "state.latent";
@@ -76,6 +78,13 @@ pub fn model(
             let belief = graph.memory(memory)?;
             graph.posterior(belief, encoding.latent);
         }
+    }
+    for output in changed(encoding) {
+        let name = output.quantity.name.name();
+        match &memory {
+            None => graph.node("Identity", &[name], present(output), Vec::new()),
+            Some(_) => graph.node("Where", &[IS_SEEN, name, &last(output)], present(output), Vec::new()),
+        };
     }
     // A memory takes the action also if the decoder does not.
     if let Some(action) = decoder.action.as_ref().or(memory.as_ref().map(|memory| memory.action)) {
@@ -155,7 +164,7 @@ struct Remembered<'a> {
     /// The action between two samples.
     action: &'a ActionTaken,
     /// Names and widths of the parts of the state.
-    parts: Vec<(&'static str, usize)>,
+    parts: Vec<(String, usize)>,
 }
 
 impl<'a> Remembered<'a> {
@@ -169,8 +178,12 @@ impl<'a> Remembered<'a> {
         };
         let takes_latent = first.inputs.iter().any(|input| input == LATENT);
         let latent = takes_latent.then_some((LAST_LATENT, description.latent));
-        let ends = [(LAST_MEMORY, width), (LAST_ACTION, action.elements.len())];
-        let parts = [ends[0]].into_iter().chain(latent).chain([ends[1]]).collect();
+        let own =
+            [(LAST_MEMORY, width)].into_iter().chain(latent).chain([(LAST_ACTION, action.elements.len())]);
+        let own = own.map(|(part, width)| (part.to_owned(), width));
+        // What a predicted change is added to is that of the last sample that was seen.
+        let present = changed(description).map(|output| (last(output), output.quantity.shape[0]));
+        let parts = own.chain(present).collect();
         Some(Self { first, others, action, parts })
     }
 
@@ -183,6 +196,21 @@ impl<'a> Remembered<'a> {
     fn has_prior(&self) -> bool {
         self.others.iter().any(|layer| layer.name == PRIOR)
     }
+}
+
+/// Returns the outputs that are predicted as changes.
+fn changed(description: &Description) -> impl Iterator<Item = &Output> {
+    description.outputs.iter().filter(|output| output.change.is_some())
+}
+
+/// Returns the name of the part of the state with an input of the last sample that was seen.
+fn last(output: &Output) -> String {
+    format!("{STATE}.{}", output.quantity.name)
+}
+
+/// Returns the name of the value of the present sample to which a change is added.
+fn present(output: &Output) -> String {
+    format!("{}.present", output.quantity.name)
 }
 
 /// Adds nodes to a graph. Constants come from `tensors`.
@@ -281,12 +309,12 @@ impl Writer<'_> {
     }
 
     /// Adds a node that splits the columns of `value` into parts with these names and widths.
-    fn split(&mut self, value: &str, parts: &[(&str, usize)]) {
+    fn split(&mut self, value: &str, parts: &[(impl ToString, usize)]) {
         let widths: Vec<usize> = parts.iter().map(|(_, width)| *width).collect();
         let widths = self.numbers(format!("{value}.widths"), &widths);
         self.graph.nodes.push(Node {
             inputs: vec![value.to_owned(), widths],
-            outputs: parts.iter().map(|(name, _)| (*name).to_owned()).collect(),
+            outputs: parts.iter().map(|(name, _)| name.to_string()).collect(),
             name: format!("{value}.split"),
             operator: "Split".into(),
             attributes: vec![Attribute::int("axis", 1)],
@@ -310,7 +338,7 @@ impl Writer<'_> {
         self.split(STATE, &memory.parts);
         let part = |value: &str| in_part(MEMORY, value);
         let half = self.number(format!("{SEEN}.half"), 0.5);
-        let is_seen = self.node("Greater", &[SEEN, &half], format!("{SEEN}.is"), Vec::new());
+        let is_seen = self.node("Greater", &[SEEN, &half], IS_SEEN.to_owned(), Vec::new());
         let zero = self.number(format!("{SEEN}.zero"), 0.0);
         let posterior = in_part("encoder", POSTERIOR);
         self.node("Where", &[&is_seen, &posterior, &zero], part(ENCODED), Vec::new());
@@ -392,10 +420,11 @@ impl Writer<'_> {
             let axis = self.numbers(format!("{NEXT_STATE}.axis"), &[1]);
             kept = self.node("Slice", &[kept, start, end, axis], in_part(MEMORY, "kept"), Vec::new());
         }
-        let next = |(part, _): &(&str, usize)| match *part {
+        let next = |(part, _): &(String, usize)| match part.as_str() {
             LAST_LATENT => MEAN.to_owned(),
             LAST_ACTION => normalized(ACTION),
-            _ => kept.clone(),
+            LAST_MEMORY => kept.clone(),
+            part => format!("{}.present", part.strip_prefix("state.").unwrap_or(part)),
         };
         let parts: Vec<String> = memory.parts.iter().map(next).collect();
         self.node("Concat", &parts, NEXT_STATE.to_owned(), vec![Attribute::int("axis", 1)]);
@@ -414,11 +443,8 @@ impl Writer<'_> {
     }
 
     /// Converts a modality that the decoder has computed to SI units, and declares it as an output.
-    fn output(
-        &mut self,
-        prefix: &str,
-        Output { quantity, minimum, .. }: &Output,
-    ) -> Result<(), LearningError> {
+    fn output(&mut self, prefix: &str, output: &Output) -> Result<(), LearningError> {
+        let Output { quantity, change, minimum, .. } = output;
         let name = format!("{prefix}.{}", quantity.name);
         let shape = inner_shape(quantity);
         let start = self.numbers(format!("{name}.start"), &[quantity.start]);
@@ -427,10 +453,13 @@ impl Writer<'_> {
         let from = in_part("decoder", quantity.value);
         let mut value =
             self.node("Slice", &[from, start, end, axis], format!("{name}.normalized"), Vec::new());
-        let mean = self.tensor(&quantity.scale.mean, Some(&shape))?;
-        let deviation = self.tensor(&quantity.scale.deviation, None)?;
+        let (base, deviation) = match change {
+            Some(change) => (present(output), change),
+            None => (self.tensor(&quantity.scale.mean, Some(&shape))?, &quantity.scale.deviation),
+        };
+        let deviation = self.tensor(deviation, None)?;
         value = self.node("Mul", &[value, deviation], format!("{name}.scaled"), Vec::new());
-        value = self.node("Add", &[value, mean], format!("{name}.shifted"), Vec::new());
+        value = self.node("Add", &[value, base], format!("{name}.shifted"), Vec::new());
         if let Some(minimum) = minimum {
             let minimum = self.number(format!("{name}.minimum"), *minimum as f32);
             value = self.node("Max", &[value, minimum], format!("{name}.bounded"), Vec::new());

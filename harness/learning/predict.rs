@@ -6,7 +6,7 @@ use super::network::{Decoded, Decoder, Draw, Network, State, context};
 use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_ops::{Values, input};
-use harness_samples::{Normalizers, Sample, Samples, after};
+use harness_samples::{Normalizer, Normalizers, Sample, Samples, after, physical};
 use harness_spec::{Modality, Window, WindowStart};
 use std::collections::BTreeSet;
 
@@ -220,7 +220,10 @@ impl Predictor for TrainedNetwork<'_> {
                 continue;
             }
             let decoded = network.decode(&state).map_err(failed)?;
-            pass_on(&data.normalizers, self.output, decoded, horizon, receive)?;
+            let values = predicted(&data.normalizers, self.output, &decoded, |modality| {
+                physical(&data.samples, modality, at)
+            });
+            pass_on(values, horizon, receive)?;
         }
         Ok(())
     }
@@ -245,20 +248,46 @@ impl Predictor for TrainedDecoder<'_> {
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let decoded = self.latents.rows(at).and_then(|latent| self.decoder.decode(&latent, None));
-        pass_on(&self.data.normalizers, self.output, decoded.map_err(failed)?, 0, receive)
+        let values = decoded.and_then(|decoded| denormalized(&self.data.normalizers, self.output, &decoded));
+        pass_on(values, 0, receive)
     }
 }
 
-/// Passes each decoded modality to `receive`, in physical units.
+/// Passes the values of each modality to `receive`.
 fn pass_on(
-    normalizers: &Normalizers,
-    output: &[Modality],
-    decoded: Decoded,
+    values: Result<Vec<(Modality, Vec<f32>)>>,
     horizon: usize,
     receive: &mut Receive,
 ) -> std::result::Result<(), JudgeError> {
-    let decoded = denormalized(normalizers, output, &decoded).map_err(failed)?;
-    decoded.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values }))
+    let values = values.map_err(failed)?;
+    values.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values }))
+}
+
+/// Returns what a network predicts of each modality in `output` in physical units, `[batch, width]`; images channel by
+/// channel. `present` returns the values of a modality at the present samples, to which predicted changes are added.
+///
+/// # Errors
+/// When the decoder has no such output.
+pub fn predicted(
+    normalizers: &Normalizers,
+    output: &[Modality],
+    decoded: &Decoded,
+    present: impl Fn(Modality) -> Vec<f32>,
+) -> Result<Vec<(Modality, Vec<f32>)>> {
+    let physical = |&modality: &Modality| {
+        let scale = &normalizers.modalities[&modality];
+        let Some(change) = normalizers.changes.get(&modality) else {
+            return Ok((modality, in_units(decoded, modality, scale)?));
+        };
+        let mut values = present(modality);
+        values
+            .iter_mut()
+            .zip(in_units(decoded, modality, change)?)
+            .for_each(|(value, change)| *value += change);
+        scale.bound(&mut values);
+        Ok((modality, values))
+    };
+    output.iter().map(physical).collect()
 }
 
 /// Returns the values of each modality in `output` in physical units, `[batch, width]`; images channel by channel.
@@ -270,13 +299,18 @@ pub fn denormalized(
     output: &[Modality],
     decoded: &Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
-    let physical = |modality: &Modality| {
-        let Some(values) = decoded.get(modality) else {
-            candle_core::bail!("the decoder has no output for '{modality}'");
-        };
-        let mut values = values.flatten_all()?.to_vec1()?;
-        normalizers.modalities[modality].denormalize(&mut values);
-        Ok((*modality, values))
+    let physical = |&modality: &Modality| {
+        Ok((modality, in_units(decoded, modality, &normalizers.modalities[&modality])?))
     };
     output.iter().map(physical).collect()
+}
+
+/// Returns the decoded values of a modality in the units of a normalizer.
+fn in_units(decoded: &Decoded, modality: Modality, scale: &Normalizer) -> Result<Vec<f32>> {
+    let Some(values) = decoded.get(&modality) else {
+        candle_core::bail!("the decoder has no output for '{modality}'");
+    };
+    let mut values = values.flatten_all()?.to_vec1()?;
+    scale.denormalize(&mut values);
+    Ok(values)
 }

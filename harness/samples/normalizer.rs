@@ -72,6 +72,11 @@ impl Normalizer {
                 *value = *value * self.std(index) + mean;
             }
         }
+        self.bound(values);
+    }
+
+    /// Sets `values` in physical units that are below the minimum to the minimum.
+    pub fn bound(&self, values: &mut [f32]) {
         // `f32::max` would replace NaN with the minimum.
         if let Some(minimum) = self.minimum {
             values.iter_mut().filter(|value| **value < minimum).for_each(|value| *value = minimum);
@@ -86,6 +91,9 @@ pub struct Normalizers {
     pub modalities: BTreeMap<Modality, Normalizer>,
     /// Normalizer of the action, with one value for each element.
     pub action: Normalizer,
+    /// Normalizers of the changes since the present sample, of the modalities that a network predicts as such. Their
+    /// means are 0, so that no change is 0.
+    pub changes: BTreeMap<Modality, Normalizer>,
 }
 
 /// Running sums for means and standard deviations, one for each value.
@@ -126,7 +134,7 @@ impl Moments {
         self.sum.iter().map(|sum| (sum / self.count) as f32).collect()
     }
 
-    fn variances(&self) -> impl Iterator<Item = f64> {
+    fn variances(&self) -> impl ExactSizeIterator<Item = f64> {
         self.sum.iter().zip(&self.square).zip(&self.constant).map(|((sum, square), constant)| {
             let mean = sum / self.count;
             if *constant { 0.0 } else { (square / self.count - mean * mean).max(0.0) }
@@ -134,12 +142,22 @@ impl Moments {
     }
 
     fn scale(&self, std: Scale) -> Normalizer {
-        let variances = self.variances();
-        let std = match std {
-            Scale::PerElement => variances.map(root).collect(),
-            Scale::Shared => vec![root(variances.sum::<f64>() / self.sum.len() as f64)],
-        };
-        Normalizer { mean: self.means(), std, minimum: None }
+        Normalizer { mean: self.means(), std: roots(self.variances(), std), minimum: None }
+    }
+
+    /// Returns the normalizer with a mean of 0.
+    fn scale_around_zero(&self, std: Scale) -> Normalizer {
+        let squares = self.square.iter().map(|square| square / self.count);
+        Normalizer { mean: vec![0.0; self.sum.len()], std: roots(squares, std), minimum: None }
+    }
+}
+
+/// Returns the square roots of variances, or that of their mean.
+fn roots(variances: impl ExactSizeIterator<Item = f64>, std: Scale) -> Vec<f32> {
+    let count = variances.len() as f64;
+    match std {
+        Scale::PerElement => variances.map(root).collect(),
+        Scale::Shared => vec![root(variances.sum::<f64>() / count)],
     }
 }
 
@@ -167,7 +185,44 @@ impl Normalizers {
         let width = samples.layout().action().len();
         let actions =
             Moments::of(width, transitions, |sample| samples.action(action, sample).collect::<Vec<_>>());
-        Self { modalities: fitted.collect(), action: actions.scale(Scale::PerElement) }
+        let action = actions.scale(Scale::PerElement);
+        Self { modalities: fitted.collect(), action, changes: BTreeMap::new() }
+    }
+
+    /// Returns these normalizers with those of the changes of `modalities`, which are vectors. They are computed over
+    /// the changes from each sample in `present` to the `horizon` samples after it.
+    pub fn with_changes(
+        &self,
+        samples: &Samples,
+        present: &[Sample],
+        modalities: impl Iterator<Item = Modality>,
+        horizon: usize,
+    ) -> Self {
+        let changes = modalities.map(|modality| {
+            let objects = samples.layout()[modality].objects.unwrap_or(1);
+            let change = |sample: Sample| -> Vec<f32> {
+                let now = samples.vector(modality, sample);
+                let after = |distance| samples.vector(modality, sample.after(distance)).iter();
+                (1..=horizon)
+                    .flat_map(|distance| after(distance).zip(now).map(|(then, now)| then - now))
+                    .collect()
+            };
+            let moments = Moments::of(samples.layout()[modality].width() / objects, present, change);
+            let value = &self.modalities[&modality];
+            let std = if value.std.len() == 1 { Scale::Shared } else { Scale::PerElement };
+            (modality, moments.scale_around_zero(std).for_objects(objects))
+        });
+        Self { changes: changes.collect(), ..self.clone() }
+    }
+
+    /// Returns for each modality that is predicted as a change the factor by which its change in units of its own
+    /// deviation is divided, one for each element.
+    pub fn change_ratios(&self) -> BTreeMap<Modality, Vec<f32>> {
+        let ratios = self.changes.iter().map(|(modality, change)| {
+            let value = &self.modalities[modality];
+            (*modality, (0..change.mean.len()).map(|index| change.std(index) / value.std(index)).collect())
+        });
+        ratios.collect()
     }
 
     /// Returns the normalized vectors of several modalities side by side, `[batch, width]`. They are empty if all

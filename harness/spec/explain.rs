@@ -1,6 +1,7 @@
 //! Where the values of an experiment's settings come from.
 
 use super::cells::DATASET_SEED;
+use super::outputs::written_key;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
 use harness_yaml::{Node, Place, Value, join};
 use serde_json::Value as Json;
@@ -56,6 +57,7 @@ pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Exp
         let seeds = experiment.vary.get(DATASET_SEED).map(Json::to_string);
         let sourced = |(key, value): (String, String)| {
             let value = seeds.clone().filter(|_| key == DATASET_SEED).unwrap_or(value);
+            let key = written_key(&key).filter(|key| written(&tree, key).is_some()).unwrap_or(key);
             Sourced { source: source(&key), key, value }
         };
         explained.push(Explained { variant, settings: settings(&alone).into_iter().map(sourced).collect() });

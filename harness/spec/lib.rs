@@ -15,6 +15,7 @@ mod hints;
 mod mapping;
 mod narrow;
 mod origin;
+mod outputs;
 mod overrides;
 mod run;
 mod schema;
@@ -251,7 +252,7 @@ impl<'a> Variants<'a> {
     /// Returns the tree with the settings of one combination.
     fn tree(&self, combination: &Combination) -> Node {
         let mut tree = combination.applied_to(self.tree, &self.written);
-        leave_out_losses_of(&mut tree, &self.outputs);
+        leave_out_settings_of(&mut tree, &self.outputs);
         tree
     }
 }
@@ -272,12 +273,12 @@ fn names_in(node: &Node) -> Vec<String> {
     items.iter().filter_map(|item| item.to_json().as_str().map(str::to_owned)).collect()
 }
 
-/// Removes losses and their weights of modalities that other combinations predict and this one does not. A reading can
-/// then weight the outputs of all labels.
-fn leave_out_losses_of(tree: &mut Node, outputs: &BTreeSet<String>) {
+/// Removes settings of modalities that other combinations predict and this one does not. A reading can then weight the
+/// outputs of all labels.
+fn leave_out_settings_of(tree: &mut Node, outputs: &BTreeSet<String>) {
     let own = tree.get(OUTPUT).map(names_in).unwrap_or_default();
-    for key in ["losses", "loss_weights"] {
-        let section = tree.get_mut("training").and_then(|training| training.get_mut(key));
+    for key in ["outputs", "training.predict", "training.losses", "training.loss_weights"] {
+        let section = key.split('.').try_fold(&mut *tree, |node, key| node.get_mut(key));
         if let Some(Node { value: Value::Section(entries), .. }) = section {
             entries.retain(|entry| own.contains(&entry.key) || !outputs.contains(&entry.key));
         }
@@ -337,6 +338,7 @@ fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> 
     experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
     let at = |fault: validate::Fault| Problem::new(tree.place_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
+    outputs::store(&mut experiment).map_err(at)?;
     check_rates(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
     if worlds.purpose == Purpose::Training {
@@ -463,6 +465,10 @@ impl Experiment {
         self.training
             .losses
             .retain(|modality, loss| self.output.contains(modality) && *loss != Loss::Squared);
+        self.training
+            .predict
+            .retain(|modality, predict| self.output.contains(modality) && *predict != Predict::Value);
+        self.outputs.clear();
         // A modality that no world declares may be an image: only its dataset defines it.
         let may_be_image = |modality: &Modality| {
             self.scenarios

@@ -1,5 +1,6 @@
 //! Changes to single settings: `training.batch_size=512` on the command line, and a spec's own `quick`.
 
+use super::outputs::{stored_key, written_key};
 use super::schema;
 use super::text::MAX_FILE_BYTES;
 use super::vary::VARY;
@@ -94,10 +95,25 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
         }
         match setting.key == VARY {
             true => set(tree, VARY, &with_labels(tree, setting)),
-            false => set(tree, &setting.key, setting),
+            false => set_in_one_place(tree, setting),
         }
         try_alone(tree, setting);
+        if let Some(key) = stored_key(&setting.key).or_else(|| written_key(&setting.key)) {
+            try_alone(tree, &Entry { key, ..setting.clone() });
+        }
     }
+}
+
+/// Sets a setting. One of an output replaces that of its other key.
+fn set_in_one_place(tree: &mut Node, setting: &Entry) {
+    let stored = stored_key(&setting.key);
+    let written = if stored.is_some() { Some(setting.key.clone()) } else { written_key(&setting.key) };
+    if let Some((output, key)) = written.as_deref().and_then(|written| written.rsplit_once('.'))
+        && let Some(output) = output.split('.').try_fold(&mut *tree, |node, key| node.get_mut(key))
+    {
+        remove(output, key);
+    }
+    set(tree, stored.as_ref().unwrap_or(&setting.key), setting);
 }
 
 /// Adds to new axes those of a tree that have labels, so that they replace only the values of settings.

@@ -3,7 +3,7 @@
 use super::origin::Origin;
 use super::simulation::Simulation;
 use super::stored::stored;
-use super::types::{Action, Loss, Network, Split, Task, Training, Window};
+use super::types::{Action, Network, Split, Task, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -275,10 +275,17 @@ impl RunSpec {
             let is_vector = |modality: &&Modality| {
                 layout.get(**modality).is_some_and(|definition| !definition.is_image())
             };
-            let loss = |modality: &Modality| training.losses.get(modality).copied().unwrap_or_default();
-            let losses: BTreeMap<Modality, Loss> =
-                self.output.iter().filter(is_vector).map(|modality| (*modality, loss(modality))).collect();
-            all["training"]["losses"] = json!(losses);
+            let vectors: Vec<Modality> = self.output.iter().filter(is_vector).copied().collect();
+            fn of<T: Copy + Default>(
+                given: &BTreeMap<Modality, T>,
+                vectors: &[Modality],
+            ) -> BTreeMap<Modality, T> {
+                let value =
+                    |modality: &Modality| (*modality, given.get(modality).copied().unwrap_or_default());
+                vectors.iter().map(value).collect()
+            }
+            all["training"]["losses"] = json!(of(&training.losses, &vectors));
+            all["training"]["predict"] = json!(of(&training.predict, &vectors));
         }
         all
     }

@@ -2,6 +2,7 @@
 
 use super::hints::HINTS;
 use super::origin::{IMPORTED_NAME, Origin};
+use super::outputs::stored_key;
 use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
@@ -204,9 +205,10 @@ pub(super) const BELOW_VARY: &str = "vary.";
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 10] = [
+    const SECTIONS: [&str; 11] = [
         "input",
         "output",
+        "outputs",
         "tasks",
         "action",
         "window",
@@ -222,7 +224,7 @@ pub(super) fn varies(key: &str) -> bool {
 /// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
 /// losses, and successive halving sets the last epoch.
 fn draws(key: &str) -> bool {
-    const SECTIONS: [&str; 4] = ["input", "action", "network", "training"];
+    const SECTIONS: [&str; 5] = ["input", "outputs", "action", "network", "training"];
     SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && key != "training.last_epoch"
 }
 
@@ -349,8 +351,11 @@ pub fn is_axis(name: &str) -> bool {
 }
 
 /// Returns the dotted key of the setting that may vary and has this name: its key, or its key without its section, if
-/// no other setting has the same. `None` if there is none.
+/// no other setting has the same. `None` if there is none. The settings of outputs have the keys that runs store.
 pub fn varied_setting(name: &str) -> Option<String> {
+    if let Some(stored) = stored_key(name) {
+        return is_setting(name).then_some(stored);
+    }
     if varies(name) && is_setting(name) {
         return Some(name.to_owned());
     }

@@ -179,6 +179,37 @@ pub enum Loss {
 }
 names!(Loss { Squared => "squared", Absolute => "absolute", Huber => "huber" });
 
+/// What a network predicts of an output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Predict {
+    /// Its value.
+    #[default]
+    Value,
+    /// Its change since the present sample, which is added to what the network was given of the present sample. A
+    /// network whose output is zero then predicts that nothing changes. The output must be a vector of the input.
+    Change,
+}
+names!(Predict { Value => "value", Change => "change" });
+
+/// The settings of an output.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct OutputSettings {
+    /// What the network predicts. The default is `value`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Predict")]
+    pub predict: Option<Predict>,
+    /// The loss of a vector, in prediction. The default is `squared`. The loss of images is always squared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Loss")]
+    pub loss: Option<Loss>,
+    /// Weight of the mean loss. The default is 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "weight_schema")]
+    pub weight: Option<f64>,
+}
+
 /// An experiment: the settings in one YAML file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -199,6 +230,10 @@ pub struct Experiment {
     /// The modalities that the decoder predicts. Their order does not matter.
     #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub output: Vec<Modality>,
+    /// Settings of outputs, by their names: what is predicted, the loss and its weight.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(schema_with = "outputs_schema")]
+    pub outputs: BTreeMap<Modality, OutputSettings>,
     /// Sizes of the latent state. Each has runs of its own.
     #[schemars(length(min = 1), inner(range(min = 1, max = 4096)), extend("uniqueItems" = true))]
     pub latent: Vec<usize>,
@@ -424,15 +459,17 @@ pub struct Training {
     pub stop: Stop,
     // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
     /// Weight of the Kullback-Leibler divergence in the total loss. The weights of the output modalities are in
-    /// `loss_weights`.
+    /// `outputs`.
     #[schemars(range(min = 0.0, max = 1e6))]
     #[default(1e-4)]
     pub kl_weight: f64,
-    /// Loss of each output modality that is a vector, in prediction. The default is `squared`. The loss of images is
-    /// always squared.
+    /// What is predicted of each output, as `outputs.NAME.predict` says.
+    #[schemars(schema_with = "predict_schema")]
+    pub predict: BTreeMap<Modality, Predict>,
+    /// Loss of each output, as `outputs.NAME.loss` says.
     #[schemars(schema_with = "losses_schema")]
     pub losses: BTreeMap<Modality, Loss>,
-    /// Weight of the mean loss of each output modality. The default is 1.
+    /// Weight of the mean loss of each output, as `outputs.NAME.weight` says.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
     /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
@@ -605,9 +642,9 @@ fn channels_schema(_: &mut SchemaGenerator) -> Schema {
     })
 }
 
-/// The schema of one loss for each modality that is a vector.
-fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
-    let mut schema = by_modality(generator.subschema_for::<Loss>()).to_value();
+/// The schema of one value for each modality that is a vector.
+fn by_vector(of: Schema) -> Schema {
+    let mut schema = by_modality(of).to_value();
     if let Some(properties) = schema["properties"].as_object_mut() {
         let layout = Layout::finger();
         properties.retain(|name, _| Modality::new(name).is_some_and(|modality| !layout[modality].is_image()));
@@ -615,7 +652,23 @@ fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
     schema.try_into().expect("an object with fewer properties is a schema")
 }
 
+fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
+    by_vector(generator.subschema_for::<Loss>())
+}
+
+fn predict_schema(generator: &mut SchemaGenerator) -> Schema {
+    by_vector(generator.subschema_for::<Predict>())
+}
+
+fn outputs_schema(generator: &mut SchemaGenerator) -> Schema {
+    by_modality(generator.subschema_for::<OutputSettings>())
+}
+
+fn weight_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 })
+}
+
 /// The schema of one weight for each modality.
-fn loss_weights_schema(_: &mut SchemaGenerator) -> Schema {
-    by_modality(json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }))
+fn loss_weights_schema(generator: &mut SchemaGenerator) -> Schema {
+    by_modality(weight_schema(generator))
 }

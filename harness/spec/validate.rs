@@ -1,12 +1,13 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
 use super::origin::Origin;
+use super::outputs::written_key;
 use super::schema::is_axis;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
-    Device, Division, Experiment, Memory, Network, Precision, Preset, Reading, Settings, Split, Task,
-    Training, WindowStart,
+    Device, Division, Experiment, Memory, Network, Precision, Predict, Preset, Reading, Settings, Split,
+    Task, Training, WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
@@ -56,7 +57,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     scenarios(experiment)?;
     modalities(experiment)?;
     tasks(&experiment.tasks)?;
-    losses(experiment)?;
+    outputs(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
     settings(experiment)?;
@@ -401,15 +402,21 @@ fn steps(training: &Training) -> Result<(), Fault> {
     Ok(())
 }
 
-fn losses(experiment: &Experiment) -> Result<(), Fault> {
-    let Training { losses, loss_weights: weights, .. } = &experiment.training;
-    let named = weights.keys().map(|modality| ("loss_weights", "loss weight", modality));
-    let mut named = named.chain(losses.keys().map(|modality| ("losses", "loss", modality)));
-    if let Some((key, words, modality)) = named.find(|(.., modality)| !experiment.output.contains(modality)) {
-        return fault(
-            format!("training.{key}.{modality}"),
-            format!("'{modality}' has a {words} but is not an output; outputs: {}", list(&experiment.output)),
-        );
+/// Checks the settings of outputs.
+fn outputs(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { input, output, outputs, training, .. } = experiment;
+    let Training { predict, losses, loss_weights: weights, .. } = training;
+    // Where a setting was written.
+    let path = |key: &str, stored: &str, modality: &Modality| match outputs.contains_key(modality) {
+        true => format!("outputs.{modality}.{key}"),
+        false => format!("training.{stored}.{modality}"),
+    };
+    let named = weights.keys().map(|modality| (path("weight", "loss_weights", modality), modality));
+    let named = named.chain(losses.keys().map(|modality| (path("loss", "losses", modality), modality)));
+    let named = named.chain(predict.keys().map(|modality| (path("predict", "predict", modality), modality)));
+    let empty = outputs.keys().map(|modality| (format!("outputs.{modality}"), modality));
+    if let Some((path, modality)) = named.chain(empty).find(|(_, modality)| !output.contains(modality)) {
+        return fault(path, format!("'{modality}' is not an output; outputs: {}", list(output)));
     }
     let is_image = |modality: &Modality| {
         let known = experiment.scenarios.iter().find_map(|origin| experiment.known(origin, *modality));
@@ -417,13 +424,27 @@ fn losses(experiment: &Experiment) -> Result<(), Fault> {
     };
     if let Some(modality) = losses.keys().find(|modality| is_image(modality)) {
         return fault(
-            format!("training.losses.{modality}"),
+            path("loss", "losses", modality),
             format!("'{modality}' is an image, whose errors are squared; leave it out"),
         );
     }
+    for (modality, _) in predict.iter().filter(|(_, predict)| **predict == Predict::Change) {
+        let problem = if is_image(modality) {
+            "is an image; predict a modality that is its change (difference_of)".to_owned()
+        } else if !input.contains(modality) {
+            format!(
+                "is not an input, so the network does not know to what the change is added; inputs: {}",
+                list(input)
+            )
+        } else {
+            continue;
+        };
+        return fault(path("predict", "predict", modality), format!("'{modality}' {problem}"));
+    }
     let weight = |modality| weights.get(modality).copied().unwrap_or(1.0);
-    if experiment.output.iter().all(|modality| weight(modality) == 0.0) {
-        return fault("training.loss_weights", "every output has weight 0, so there is nothing to learn");
+    if output.iter().all(|modality| weight(modality) == 0.0) {
+        let key = if outputs.is_empty() { "training.loss_weights" } else { "outputs" };
+        return fault(key, "every output has weight 0, so there is nothing to learn");
     }
     Ok(())
 }
@@ -690,12 +711,14 @@ fn objective(experiment: &Experiment, search: &Search) -> Result<(), Fault> {
         let path = "search.objective.term";
         return fault(path, unknown("term", term, path, &terms, str::to_owned));
     }
-    let losses = "training.losses.";
-    let changes = |key: &str| match term {
-        Objective::TOTAL => {
-            key == "training.kl_weight" || key.starts_with("training.loss_weights") || key.starts_with(losses)
+    let changes = |key: &str| {
+        let own = written_key(key).unwrap_or_else(|| key.to_owned());
+        match (own.strip_prefix("outputs.").and_then(|own| own.split_once('.')), term) {
+            (None, Objective::TOTAL) => own == "training.kl_weight",
+            (Some(_), Objective::TOTAL) => true,
+            (Some((modality, setting)), output) => modality == output && setting != "weight",
+            (None, _) => false,
         }
-        output => key.strip_prefix(losses) == Some(output),
     };
     let Some(key) = search.space.keys().find(|key| changes(key)) else { return Ok(()) };
     let others: Vec<&str> =

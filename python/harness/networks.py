@@ -21,8 +21,8 @@ from torch.nn import functional
 __all__ = ["Network", "NetworkFile", "State"]
 
 Layer = dict[str, Any]
-FORMATS = (1, 2)
-"""The versions of descriptions that this module can read: without and with memory."""
+FORMATS = (1, 2, 3)
+"""The versions of descriptions that this module can read: without and with memory, and with predicted changes."""
 RECONSTRUCTION = "reconstruction."
 """First part of the names of the parameters of the reconstruction's decoder."""
 
@@ -54,7 +54,7 @@ class NetworkFile:
         if found is None:
             raise ValueError(f"{path} has no description of a network; load it by the name of its run")
         if found["format"] not in FORMATS:
-            known = " and ".join(map(str, FORMATS))
+            known = ", ".join(map(str, FORMATS))
             raise ValueError(f"{path} has format {found['format']} of the description; this version reads {known}")
         self.description: dict[str, Any] = found
 
@@ -66,11 +66,14 @@ class State(NamedTuple):
         latent: the latent state, `[batch, latent]`.
         action: the normalized action after the last sample, `[batch, elements]`; None for a sample that was seen.
         memory: what the network has stored of earlier samples, `[batch, width]`.
+        present: the values of the last sample that was seen to which predicted changes are added, by modality, in SI
+            units.
     """
 
     latent: Tensor
     action: Tensor | None
     memory: Tensor
+    present: Mapping[str, Tensor] = {}
 
 
 class Network(torch.nn.Module):
@@ -148,7 +151,7 @@ class Network(torch.nn.Module):
         """
         if self.has_memory:
             return self.predict(self.act(self.observe(None, observation), action))
-        return self.decode(self.encode(observation)[0], action)
+        return self.decode(self.encode(observation)[0], action, observation)
 
     @property
     def has_memory(self) -> bool:
@@ -177,7 +180,8 @@ class Network(torch.nn.Module):
         """
         values = self._run(self.description["encoder"], self._normalized(observation), "")
         encoded = values["posterior"]
-        return self._remember(self.start(len(encoded)) if state is None else state, encoded)
+        state = self._remember(self.start(len(encoded)) if state is None else state, encoded)
+        return state._replace(present=self._present(observation))
 
     def act(self, state: State, action: Any) -> State:
         """Returns the state that predicts the sample after an action.
@@ -201,7 +205,7 @@ class Network(torch.nn.Module):
         """
         if state.action is None:
             raise ValueError("the state has no action; call act first")
-        return self._decoded(self.description, {"latent": state.latent, "action": state.action}, "")
+        return self._decoded(self.description, {"latent": state.latent, "action": state.action}, "", state.present)
 
     def encode(self, observation: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
         """Returns the posterior of the latent state for an observation.
@@ -222,22 +226,25 @@ class Network(torch.nn.Module):
         mean, log_variance = values["posterior"].chunk(2, dim=1)
         return mean, log_variance
 
-    def decode(self, latent: Any, action: Any) -> dict[str, Tensor]:
+    def decode(self, latent: Any, action: Any, present: Mapping[str, Any] | None = None) -> dict[str, Tensor]:
         """Predicts the observation one sample later from a latent state.
 
         Args:
             latent: `[batch, latent]`.
             action: `[batch, elements]`, as in `forward`.
+            present: the present observation, to which a network adds the changes that it predicts. Networks that
+                predict only values need none.
 
         Returns:
             The predicted values of the output modalities, by name, in SI units.
 
         Raises:
             ValueError: a tensor has the wrong shape.
+            KeyError: `present` lacks a modality whose change is predicted.
         """
         given = {"latent": self._tensor(latent)}
         given["action"] = self._normalized_action(action, len(given["latent"]))
-        return self._decoded(self.description, given, "")
+        return self._decoded(self.description, given, "", self._present(present or {}))
 
     def reconstruct(self, latent: Any) -> dict[str, Tensor]:
         """Reconstructs the present observation from a latent state.
@@ -255,7 +262,15 @@ class Network(torch.nn.Module):
         if self.reconstruction_description is None:
             raise RuntimeError("the run trained no reconstruction")
         given = {"latent": self._tensor(latent)}
-        return self._decoded(self.reconstruction_description, given, RECONSTRUCTION)
+        return self._decoded(self.reconstruction_description, given, RECONSTRUCTION, {})
+
+    def _present(self, observation: Mapping[str, Any]) -> dict[str, Tensor]:
+        """Returns the values to which predicted changes are added."""
+        changed = [quantity["name"] for quantity in self.description["outputs"] if "change" in quantity]
+        for name in changed:
+            if name not in observation:
+                raise KeyError(f"the network predicts the change of '{name}', so it needs its present value")
+        return {name: self._tensor(observation[name]) for name in changed}
 
     def _normalized_action(self, action: Any, batch: int) -> Tensor:
         form = self.description["action"]
@@ -292,7 +307,7 @@ class Network(torch.nn.Module):
         values = self._run(layers, values, "")
         # A recurrent state-space model expects a sample that is not seen.
         belief = values["prior"] if encoded is None and "prior" in values else values["posterior"]
-        return State(belief.chunk(2, dim=1)[0], None, memory)
+        return State(belief.chunk(2, dim=1)[0], None, memory, state.present)
 
     def _gated(self, layer: Layer, inputs: Tensor, state: Tensor) -> Tensor:
         """Returns the next state of a gated recurrent unit."""
@@ -366,16 +381,23 @@ class Network(torch.nn.Module):
             parts.setdefault(quantity["value"], []).append((values - mean) / deviation)
         return {value: torch.cat(tensors, 1) for value, tensors in parts.items()}
 
-    def _decoded(self, description: dict[str, Any], given: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    def _decoded(
+        self, description: dict[str, Any], given: dict[str, Tensor], prefix: str, present: Mapping[str, Tensor]
+    ) -> dict[str, Tensor]:
         """Applies a decoder and converts its outputs to SI units."""
         self._check("latent", given["latent"], [description["latent"]], None)
         values = self._run(description["decoder"], given, prefix)
-        return {quantity["name"]: self._physical(quantity, values) for quantity in description["outputs"]}
+        return {quantity["name"]: self._physical(quantity, values, present) for quantity in description["outputs"]}
 
-    def _physical(self, quantity: dict[str, Any], values: dict[str, Tensor]) -> Tensor:
+    def _physical(
+        self, quantity: dict[str, Any], values: dict[str, Tensor], present: Mapping[str, Tensor]
+    ) -> Tensor:
         part = values[quantity["value"]].narrow(1, quantity["start"], _shape(quantity)[0])
-        mean, deviation = self._scales(quantity, part.shape[1:])
-        part = part * deviation + mean
+        if "change" in quantity:
+            part = present[quantity["name"]] + part * self.get_buffer(_attribute(quantity["change"]))
+        else:
+            mean, deviation = self._scales(quantity, part.shape[1:])
+            part = part * deviation + mean
         if "minimum" in quantity:
             part = part.clamp(min=quantity["minimum"])
         return part

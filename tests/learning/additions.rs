@@ -184,7 +184,13 @@ fn an_added_fusion_of_two_encoders_is_trained() {
     let bench = Bench::new();
     let (Added { fusion, .. }, [_, mut parameters]) = Added::new(&bench);
     let decoder = bench.architecture().decoder(&mut parameters, &mut random(2), &Device::Cpu).unwrap();
-    let network = Box::new(Cvae { encoder: fusion, decoder, input: INPUT.to_vec() });
+    let network = Box::new(Cvae {
+        encoder: fusion,
+        decoder,
+        input: INPUT.to_vec(),
+        latent: bench.architecture().latent,
+        changes: BTreeMap::new(),
+    });
     let before = bits(&parameters);
     let losses = fitted(&bench, network, &parameters, &Window::TRANSITION, [&INPUT, &OUTPUT], 12);
     assert!(losses[11] < 0.9 * losses[0], "{losses:?}");

@@ -23,6 +23,7 @@ fn architecture(input: &[Modality], fusion: Fusion) -> Architecture {
         action: ARM_JOINTS,
         network: Network { hidden: vec![32, 16], channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
         arithmetic: Arithmetic::best(),
+        changes: BTreeMap::new(),
     }
 }
 

@@ -25,7 +25,7 @@ Overrides = dict[str, Any]
 
 TOLERANCE = 1e-5
 """Largest difference of a predicted value, in standard deviations of its modality."""
-SETTINGS = ("input", "output", "action", "tasks", "network", "scaling")
+SETTINGS = ("input", "output", "outputs", "action", "tasks", "network", "scaling")
 """The settings of a spec that determine what a network computes."""
 
 # Networks that no experiment has.
@@ -55,6 +55,10 @@ OTHERS: dict[str, Overrides] = {
     "without a minimum": {"scaling": {"contact_force": {"minimum": None}}},
     "trained in bf16": {"training.precision": "bf16"},
     "other losses": {"training.losses.proprioception": "absolute", "training.losses.contact_force": "huber"},
+    "changes": {
+        "outputs": {"proprioception": {"predict": "change"}, "contact_force": {"predict": "change", "loss": "huber"}},
+        "input": ["proprioception", "contact_force", "vision"],
+    },
     "two cameras": {"scenarios": ["wrist"], "input": ["vision", "wrist"], "output": ["wrist", "proprioception"]},
     "another robot": {"scenarios": ["tendon"], "input": ["proprioception"], "output": ["proprioception"]},
 }
@@ -329,6 +333,7 @@ class Remembered:
     def __init__(self, memory: str, results: Path) -> None:
         settings: dict[str, Any] = {"scenarios": ["empty"], "network.memory": memory, "training.epochs": 2}
         settings |= {"window.context": 6, "window.start": "rest", "window.horizon": 3}
+        settings["outputs.proprioception.predict"] = "value" if memory == "window" else "change"
         assert harness.run(SMOKE, settings, results=results, progress=False) == (1, 0)
         (folder,) = (results / "datasets").iterdir()
         self.data = harness.Dataset(folder)

@@ -309,12 +309,12 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
             "learning_rate: {log_uniform",
             "learning_rat: {log_uniform",
             "spec.yaml:13:5: unknown key 'training.learning_rat' in 'search.space'; did you mean \
-             'training.learning_rate'? Allowed: training.learning_rate,",
+             'training.learning_rate'?",
         ),
         (
             rate,
             "simulation.episodes: {integer: [4, 8]}",
-            "spec.yaml:13:5: unknown key 'simulation.episodes' in 'search.space'. Allowed: input, action, \
+            "spec.yaml:13:5: unknown key 'simulation.episodes' in 'search.space'. Allowed: input, outputs.…, action, \
              network.…, training.…",
         ),
         (
@@ -419,6 +419,12 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
             "spec.yaml:13:36: the objective 'contact_force' depends on 'training.losses.contact_force', so trials \
              can't be compared by it; leave 'training.losses.contact_force' out, or set search.objective.term to \
              proprioception",
+        ),
+        (
+            rate,
+            "outputs.contact_force.loss: {choice: [squared, huber]}",
+            "spec.yaml:13:33: the objective 'contact_force' depends on 'outputs.contact_force.loss', so trials can't \
+             be compared by it; leave 'outputs.contact_force.loss' out, or set search.objective.term to proprioception",
         ),
         (
             "search:\n",

@@ -95,7 +95,7 @@ impl PerceptronDecoder {
         Ok(Hidden { vectors, frames })
     }
 
-    fn vectors(&self, hidden: &Hidden) -> Result<Option<Tensor>> {
+    fn side_by_side(&self, hidden: &Hidden) -> Result<Option<Tensor>> {
         self.vectors.as_ref().map(|layers| layers.forward(&hidden.vectors, false)).transpose()
     }
 }
@@ -104,7 +104,7 @@ impl Decoder for PerceptronDecoder {
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded> {
         let hidden = self.hidden(latent, action)?;
         let mut decoded = Decoded::new();
-        if let Some(vectors) = self.vectors(&hidden)? {
+        if let Some(vectors) = self.side_by_side(&hidden)? {
             let mut first = 0;
             for (modality, width) in &self.vectors_of {
                 decoded.insert(*modality, vectors.narrow(1, first, *width)?.contiguous()?);
@@ -122,10 +122,15 @@ impl Decoder for PerceptronDecoder {
         Ok(decoded)
     }
 
+    fn vectors(&self) -> &[(Modality, usize)] {
+        &self.vectors_of
+    }
+
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>> {
         let hidden = self.hidden(latent, action)?;
         let mut terms = Vec::new();
-        if let Some(predicted) = self.vectors(&hidden)? {
+        if let Some(predicted) = self.side_by_side(&hidden)? {
+            let predicted = targets.added.map_or(Ok(predicted.clone()), |added| predicted + added)?;
             let loss = |modality: &Modality| targets.losses.get(modality).copied().unwrap_or_default();
             let quantity =
                 |(modality, width): &(Modality, usize)| Quantity { width: *width, loss: loss(modality) };

@@ -3,6 +3,7 @@
 //! docs/networks.md explains it. Names of tensors are those of the network's file.
 
 use super::Architecture;
+use crate::checkpoint::change_of;
 use candle_core::Result;
 use harness_samples::{Normalizer, Normalizers};
 use harness_spec::{Action, Element, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
@@ -13,6 +14,8 @@ use std::collections::BTreeMap;
 pub const FORMAT: u32 = 1;
 /// Version of the description of a network with memory.
 pub const FORMAT_WITH_MEMORY: u32 = 2;
+/// Version of the description of a network that predicts changes, with or without memory.
+pub const FORMAT_WITH_CHANGES: u32 = 3;
 
 /// Value that the encoder is given: all normalized vectors of the input side by side, `[batch, width]`.
 pub const VECTORS: &str = "vectors";
@@ -41,7 +44,7 @@ pub const PRIOR: &str = "prior";
 /// A network with everything that is needed to rebuild it from its tensors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
-    /// [`FORMAT`], or [`FORMAT_WITH_MEMORY`].
+    /// [`FORMAT`], [`FORMAT_WITH_MEMORY`] or [`FORMAT_WITH_CHANGES`].
     pub format: u32,
     /// `prediction`: encoder and decoder. `reconstruction`: only a decoder, which takes the latent state of the
     /// prediction's encoder.
@@ -139,6 +142,10 @@ pub struct Output {
     /// The modality. Its value in SI units is normalized * deviation + mean.
     #[serde(flatten)]
     pub quantity: Quantity,
+    /// If the decoder predicts the change since the present sample: the name of the tensor with its deviation. The value
+    /// in SI units is then that of the present sample + normalized * this deviation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change: Option<String>,
     /// Values below this bound are set to it, after they were converted to SI units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
@@ -367,12 +374,19 @@ impl Description {
                 .and_then(|Normalizer { minimum, .. }| minimum.map(f64::from));
             // A reconstruction is trained with the squared error.
             let loss = losses.get(&name).copied().filter(|_| encodes).unwrap_or_default();
-            Output { quantity, minimum, loss }
+            let change = (encodes && normalizers.changes.contains_key(&name)).then(|| change_of(name));
+            Output { quantity, change, minimum, loss }
         };
         // The names of the decoder's last layers.
         let outputs = places(architecture, &architecture.output, ["vector", "conv"]);
+        let outputs: Vec<Output> = outputs.into_iter().map(output).collect();
+        let format = match encodes {
+            true if outputs.iter().any(|output| output.change.is_some()) => FORMAT_WITH_CHANGES,
+            true if !memory.is_empty() => FORMAT_WITH_MEMORY,
+            _ => FORMAT,
+        };
         Ok(Self {
-            format: if encodes && !memory.is_empty() { FORMAT_WITH_MEMORY } else { FORMAT },
+            format,
             task: task.name(),
             latent: architecture.latent,
             images: Images::default(),
@@ -382,7 +396,7 @@ impl Description {
                 elements: architecture.layout.action().to_vec(),
                 scale: Scale::of(ACTION),
             }),
-            outputs: outputs.into_iter().map(output).collect(),
+            outputs,
             encoder: if encodes { named(encoder, "encoder") } else { Vec::new() },
             memory: if encodes { named(memory, "memory") } else { Vec::new() },
             decoder: named(architecture.decoder_layers()?, "decoder"),

@@ -49,6 +49,9 @@ pub struct Architecture {
     pub network: harness_spec::Network,
     /// How matrix products are computed.
     pub arithmetic: Arithmetic,
+    /// For each output that is predicted as a change, the factors between its normalized change and its change in units
+    /// of the normalized value, one for each element.
+    pub changes: BTreeMap<Modality, Vec<f32>>,
 }
 
 /// Returns the network that a run trains for `task` on a dataset with this layout.
@@ -65,6 +68,7 @@ pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, tas
         action,
         network: trained.network.clone(),
         arithmetic: ops::arithmetic(trained.training.tiles, trained.training.precision),
+        changes: BTreeMap::new(),
     }
 }
 
@@ -83,7 +87,13 @@ impl Architecture {
         let decoder = self.decoder(parameters, random, device)?;
         let made = Made::Variables { parameters, random, device };
         Ok(match recurrent::unit(self, self.builder("memory", made))? {
-            None => Box::new(Cvae { encoder, decoder, input: self.input.clone() }),
+            None => {
+                let factors = |(modality, factors): (&Modality, &Vec<f32>)| {
+                    Ok((*modality, Tensor::from_slice(factors, factors.len(), device)?))
+                };
+                let changes = self.changes.iter().map(factors).collect::<Result<_>>()?;
+                Box::new(Cvae { encoder, decoder, input: self.input.clone(), changes, latent: self.latent })
+            }
             Some(unit) => Box::new(Recurrent { encoder, unit, decoder, latent: self.latent }),
         })
     }
@@ -191,7 +201,8 @@ pub struct State {
     /// The action since the last sample, `[batch, elements]`, if the network's decoder takes it. `None` for a sample
     /// that the network has seen.
     pub action: Option<Tensor>,
-    /// What the network has stored of earlier samples, `[batch, width]`; `None` without memory.
+    /// What the network has stored of earlier samples, `[batch, width]`; `None` without memory. Without memory, it is
+    /// what predicted changes are added to, if there are any.
     pub memory: Option<Tensor>,
 }
 
@@ -444,6 +455,9 @@ pub trait Decoder: Send + Sync {
     /// When a tensor has another shape.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
+    /// Returns the decoded vectors with their widths, in the order of the decoder's last layer.
+    fn vectors(&self) -> &[(Modality, usize)];
+
     /// Returns the mean loss of every output modality against `targets`, on normalized values.
     ///
     /// # Errors
@@ -509,6 +523,8 @@ pub struct Targets<'a> {
     pub losses: &'a BTreeMap<Modality, Loss>,
     /// Number of equal parts of the batch that have losses of their own, one after the other.
     pub parts: usize,
+    /// What is added to all predicted vectors, `[batch, width]`, if something is.
+    pub added: Option<&'a Tensor>,
 }
 
 /// A diagonal Gaussian distribution over the latent state: the means followed by the log-variances,

@@ -1,0 +1,149 @@
+//! Networks that predict the change of an output since the present sample.
+
+use super::*;
+use harness_judge::{Persistence, Predicted, Predictor};
+use harness_learning::network::Network as Predicting;
+use harness_learning::predict::TrainedNetwork;
+use harness_spec::WindowStart;
+
+const BOTH: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::ARM];
+const WINDOW: Window = Window { context: 4, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
+const MEMORIES: [Memory; 4] = [Memory::None, Memory::Window, Memory::Gru, Memory::Rssm];
+
+/// Walks of the arm, of which a network with this memory predicts the changes, beside the values of the joint angles.
+fn bench(memory: Memory) -> (Bench, Box<dyn Predicting>, Parameters) {
+    let mut bench = Bench::new();
+    let samples = Arc::new(walks(30, 16));
+    let partition = samples.partition(&Split::default(), &WINDOW).unwrap();
+    let scaling = |modality| (modality, World::paper(Scenario::EMPTY).scaling(modality, &[]).unwrap());
+    let scalings = BOTH.into_iter().map(scaling).collect();
+    let normalizers = Normalizers::fit(&samples, &partition.training, &scalings, Action::Increment);
+    let data = NormalizedData::new(samples, Arc::new(normalizers), Action::Increment, Device::Cpu);
+    bench.data = data.predicting_changes([Modality::ARM].into_iter(), &partition.training, WINDOW.horizon);
+    bench.partition = partition;
+    bench.network = Network { hidden: vec![16], memory, memory_samples: 3, ..network(16, 2) };
+    let changes = bench.data.normalizers.change_ratios();
+    let architecture =
+        Architecture { input: BOTH.to_vec(), output: BOTH.to_vec(), changes, ..bench.architecture() };
+    let mut parameters = Parameters::new();
+    let network = architecture.network(&mut parameters, &mut random(4), &Device::Cpu).unwrap();
+    (bench, network, parameters)
+}
+
+/// What is predicted of a modality at each horizon.
+fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Vec<f32>> {
+    let mut found = BTreeMap::new();
+    let mut receive = |Predicted { modality, horizon, values }: &Predicted| {
+        if *modality == of {
+            found.insert(*horizon, values.clone());
+        }
+        Ok(())
+    };
+    predictor.predict(at, &mut receive).unwrap();
+    found
+}
+
+#[test]
+fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
+    for memory in MEMORIES {
+        let (bench, network, parameters) = bench(memory);
+        for name in ["decoder.vector.weight", "decoder.vector.bias"] {
+            parameters[name].set(&parameters[name].zeros_like().unwrap()).unwrap();
+        }
+        let (data, at) = (&bench.data, &bench.partition.test[..]);
+        let network = TrainedNetwork {
+            data,
+            network: network.detached(),
+            input: &BOTH,
+            output: &BOTH,
+            window: &WINDOW,
+        };
+        let horizons = WINDOW.horizons();
+        let persistence =
+            Persistence { samples: &data.samples, modality: Modality::ARM, horizons: &horizons };
+        let expected = predicted(&persistence, at, Modality::ARM);
+        assert!(expected.len() == 3 && expected[&5].len() == 3 * at.len());
+        assert_eq!(predicted(&network, at, Modality::ARM), expected, "{memory}");
+        // The other output is a value: its mean.
+        let angles = predicted(&network, at, Modality::PROPRIOCEPTION);
+        let mean = &data.normalizers.modalities[&Modality::PROPRIOCEPTION].mean;
+        assert!(angles[&5].chunks(mean.len()).all(|row| row == mean), "{memory}");
+    }
+}
+
+#[test]
+fn the_loss_is_the_error_of_the_predictions_in_units_of_the_change() {
+    for memory in MEMORIES {
+        let (bench, network, _) = bench(memory);
+        let (data, horizon) = (&bench.data, WINDOW.horizon);
+        let training = Training { batch_size: 8, ..Training::default() };
+        let objective =
+            Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
+        // One window, so that a network with memory sees each sample of its sequence once.
+        let at = &bench.partition.test[..1];
+        let terms = objective.terms(at, Draw::Mean).unwrap();
+        let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
+        let loss = f64::from(term.value.to_scalar::<f32>().unwrap());
+        let deviation = &data.normalizers.changes[&Modality::ARM].std;
+        let context = if memory == Memory::None { 1 } else { WINDOW.context };
+        let mut errors = Vec::new();
+        for distance in 1..=horizon {
+            for ago in 0..context {
+                let window = Window { context: context - ago, horizon: distance, ..WINDOW };
+                let network = objective.network.detached();
+                let trained = TrainedNetwork { data, network, input: &BOTH, output: &BOTH, window: &window };
+                let present = [at[0].before(ago)];
+                let found = predicted(&trained, &present, Modality::ARM).remove(&distance).unwrap();
+                let reference = data.samples.vector(Modality::ARM, present[0].after(distance));
+                let error = found.iter().zip(reference).zip(deviation);
+                errors.extend(error.map(|((a, b), std)| f64::from((a - b) / std).powi(2)));
+            }
+        }
+        let expected = errors.iter().sum::<f64>() / errors.len() as f64;
+        assert!((loss - expected).abs() < 1e-4 * expected, "{memory}: {loss} {expected}");
+    }
+}
+
+#[test]
+fn gradients_reach_back_through_the_changes_that_were_predicted_before() {
+    let (bench, network, parameters) = bench(Memory::None);
+    let training = Training::default();
+    let objective = Prediction {
+        data: &bench.data,
+        network,
+        window: &WINDOW,
+        input: &BOTH,
+        output: &BOTH,
+        training: &training,
+    };
+    let at = &bench.partition.training[..3];
+    let loss = || {
+        let terms = objective.terms(at, Draw::Mean).unwrap();
+        terms.into_iter().find(|term| term.name == Modality::ARM.name()).unwrap().value
+    };
+    let gradients = loss().backward().unwrap();
+    for name in ["decoder.vector.bias", "encoder.posterior.bias"] {
+        let parameter = &parameters[name];
+        let gradient = gradients.get(parameter).unwrap().to_vec1::<f32>().unwrap();
+        let values = parameter.to_vec1::<f32>().unwrap();
+        let mut largest = 0.0_f32;
+        for index in 0..values.len() {
+            let moved = |by: f32| {
+                let mut values = values.clone();
+                values[index] += by;
+                parameter.set(&Tensor::new(values, &Device::Cpu).unwrap()).unwrap();
+                f64::from(loss().to_scalar::<f32>().unwrap())
+            };
+            let difference = (moved(1e-2) - moved(-1e-2)) / 2e-2;
+            moved(0.0);
+            let error = (f64::from(gradient[index]) - difference).abs();
+            assert!(
+                error < 0.02 * difference.abs() + 2e-3,
+                "{name} {index}: {} {difference}",
+                gradient[index]
+            );
+            largest = largest.max(gradient[index].abs());
+        }
+        assert!(largest > 1e-3, "{name}: {largest}");
+    }
+}
