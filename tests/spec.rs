@@ -1382,7 +1382,7 @@ fn settings_of_outputs_are_those_that_training_stores() {
         ),
         (
             "outputs: {proprioception: {weight: 0}, contact_force: {weight: 0}}\n",
-            "spec.yaml:7:1: every output has weight 0, so there is nothing to learn",
+            "spec.yaml:7:10: every output has weight 0, so there is nothing to learn",
         ),
     ]);
 }

@@ -246,6 +246,14 @@ impl RunSpec {
         let images = Images { input: &input, output: &output };
         if let Some(Trained { network, training, .. }) = self.trained() {
             check_images(&images, network, training).map_err(|fault| fault.message)?;
+            // The modalities of an imported dataset are not known before.
+            if let Some((image, _)) =
+                images.output.iter().find(|(image, _)| training.predict.contains_key(image))
+            {
+                return Err(format!(
+                    "'{image}' is an image, whose change can't be predicted; predict its value"
+                ));
+            }
         }
         let by_element = self.scaling.iter().find(|(modality, scaling)| {
             layout.get(**modality).is_some_and(|definition| definition.is_image())
