@@ -5,7 +5,10 @@ use harness_metrics::baselines::{GRAY_SIDE, Ridge, RidgeSums, TrainingMean, down
 use harness_metrics::contact::{Contact, by_link};
 use harness_metrics::parts::{class_of, in_either, region_of};
 use harness_metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
-use harness_metrics::{Direction, Evaluation, Metric, MetricsError, Row, Series, evaluate};
+use harness_metrics::{
+    Direction, Ensemble, Evaluation, ForceEvaluation, Forces, Members, Metric, MetricsError, Points, Row,
+    Series, evaluate,
+};
 use harness_spec::{Definition, Element, Layout, Modality};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -366,6 +369,147 @@ fn contacts_of_each_kind_have_metrics_of_their_own() {
     let renamed = plain.map(|row| Row { metric: row.metric.in_region("from_2s"), ..row.clone() });
     assert_eq!(of_region, renamed.collect::<Vec<_>>());
     assert_eq!(Metric::named("r2_from_2s"), Some(of_region[1].metric));
+}
+
+/// The rows of forces on the finger's links, N, of which all have the same prediction at all samples.
+fn of_forces(present: &[f32], reference: &[f32], predicted: &[f32], ensemble: Option<&Ensemble>) -> Vec<Row> {
+    let mut evaluation = ForceEvaluation::new(&of_finger(Modality::CONTACT_FORCE));
+    let seeds: Vec<u64> = (0..reference.len() as u64 / JOINTS as u64).collect();
+    evaluation.add(&Forces { present, reference, predicted, ensemble, seeds: &seeds }).unwrap();
+    evaluation.rows()
+}
+
+#[test]
+fn the_phases_of_a_contact_have_metrics_of_their_own() {
+    // Link 19 over eight samples: two onsets, two samples that go on, two releases, two without a contact.
+    let of_link = |values: [f32; 8]| -> Vec<f32> {
+        values
+            .iter()
+            .flat_map(|value| (0..JOINTS).map(move |link| if link == 19 { *value } else { 0.0 }))
+            .collect()
+    };
+    let present = of_link([0.0, 0.05, 1.0, 2.0, 3.0, 4.0, 0.0, 0.0]);
+    let reference = of_link([1.0, 3.0, 5.0, 2.0, 0.0, 0.04, 0.0, 0.01]);
+    let predicted = of_link([2.0, 0.0, 5.5, 1.5, 0.5, 0.04, -1.0, 0.01]);
+    let rows = of_forces(&present, &reference, &predicted, None);
+    let value = |metric: Metric, part: &str| {
+        find(&rows, metric.in_region(part), Some(Direction::ADDUCTION_ABDUCTION), Some(19)).value
+    };
+    assert_close(value(Metric::Mae, "onset"), 2.0);
+    assert_close(value(Metric::Rmse, "onset"), 5.0_f64.sqrt());
+    assert_close(value(Metric::Mae, "sustained"), 0.5);
+    assert_close(value(Metric::Mae, "release"), 0.25);
+    assert_close(value(Metric::Mae, "free"), 0.5);
+    assert_close(value(Metric::Crps, "contact"), (1.0 + 3.0 + 0.5 + 0.5) / 4.0);
+    // All links together have the same contacts, and 19 links without any.
+    let whole = |metric: Metric| find(&rows, metric, None, None).value;
+    assert_close(whole(Metric::R2.in_region("contact")), 1.0 - (1.0 + 9.0 + 0.25 + 0.25) / 8.75);
+    assert_close(whole(Metric::Mae.in_region("free")), 1.0 / (2.0 + 19.0 * 8.0));
+    assert_close(whole(Metric::Crps), 6.5 / 8.0);
+    // Contacts are predicted at 2, 5.5, 1.5 and 0.5 N. Of the 4 times 156 pairs with and without a contact, the score
+    // of 0 N is equal to 152 others' and above one, and 0.5 N is below 3.
+    assert_close(whole(Metric::F1), 2.0 * 3.0 / (4.0 + 4.0));
+    assert_close(whole(Metric::Auc), (3.0 * 156.0 + 1.0 + 152.0 / 2.0) / (4.0 * 156.0));
+    let logarithm = |force: f64| force.ln_1p() as f32;
+    let logarithms = series(&[1.0, 3.0, 5.0, 2.0].map(logarithm), &[2.0, 0.0, 5.5, 1.5].map(logarithm));
+    assert_close(whole(Metric::LogR2), r2(&logarithms).unwrap());
+    assert!(rows.iter().all(|row| row.index.is_none_or(|link| link == 19)), "other links are never touched");
+    assert!(rows.iter().all(|row| Metric::named(row.metric.name()) == Some(row.metric)));
+    assert!(!rows.iter().any(|row| row.metric.name().starts_with("coverage")), "a point has no interval");
+}
+
+#[test]
+fn r2_without_the_strongest_contacts_leaves_out_one_sample_of_a_hundred() {
+    let mut reference: Vec<f32> = (0..200).map(|sample| (sample % 2) as f32).collect();
+    let predicted = reference.iter().map(|r| r * 0.5).collect::<Vec<_>>();
+    (reference[20], reference[150]) = (500.0, 700.0);
+    let one = |values: &[f32]| values.iter().flat_map(|value| [*value; JOINTS]).collect::<Vec<_>>();
+    let rows = of_forces(&one(&reference), &one(&reference), &one(&predicted), None);
+    // 98 zeros and 100 ones are left, with an error of 0.5 at each one.
+    let deviation = 98.0 * 100.0 / 198.0;
+    assert_close(find(&rows, Metric::TrimmedR2, None, None).value, 1.0 - 25.0 / deviation);
+    assert!(
+        find(
+            &evaluate(&of_finger(Modality::CONTACT_FORCE), &one(&reference), &one(&predicted)).unwrap(),
+            Metric::R2,
+            None,
+            None
+        )
+        .value
+        .unwrap()
+            < 0.01
+    );
+}
+
+#[test]
+fn distributions_agree_with_scoringrules_scikit_learn_and_numpy() {
+    const SIZE: usize = 37;
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut force = |_| f32::max(rng.random_range(-2.0..3.0), 0.0);
+    let reference: Vec<f32> = (0..50 * JOINTS).map(&mut force).collect();
+    let values: Vec<f32> = (0..reference.len() * SIZE).map(&mut force).collect();
+    for members in [Members::Draws, Members::Quantiles] {
+        let ensemble = Ensemble::new(members, SIZE, values.clone()).unwrap();
+        let expected = python(&json!({"distributions": {
+            "reference": reference, "members": nested(&values, SIZE, 0..SIZE), "draws": members == Members::Draws,
+        }}));
+        let expected = &expected["distributions"];
+        let mut covered = [0.0; 2];
+        for (place, &r) in reference.iter().enumerate() {
+            assert_close(ensemble.at(place).crps(r), expected["crps"][place].as_f64().unwrap());
+            for (level, percent) in ["50", "90"].into_iter().enumerate() {
+                let found = ensemble.at(place).interval([0.5, 0.9][level]);
+                let bounds =
+                    [0, 1].map(|bound| expected["intervals"][percent][bound][place].as_f64().unwrap());
+                found.into_iter().zip(bounds).for_each(|(found, expected)| assert_close(found, expected));
+                covered[level] += f64::from(u8::from(found[0] <= r.into() && found[1] >= r.into()));
+            }
+        }
+        let (means, medians) = (ensemble.means(), ensemble.medians());
+        let rows = of_forces(&reference, &reference, &means, Some(&ensemble));
+        let value = |metric| find(&rows, metric, None, None).value;
+        for (level, percent) in [50, 90].into_iter().enumerate() {
+            assert_close(value(Metric::Coverage(percent)), covered[level] / reference.len() as f64);
+        }
+        let above = |row: &[f32]| row.iter().filter(|member| **member > 0.05).count() as f64 / SIZE as f64;
+        let expected = python(&json!({"contacts": {
+            "touches": reference.iter().map(|r| *r > 0.05).collect::<Vec<_>>(),
+            "predicted": medians.iter().map(|median| *median > 0.05).collect::<Vec<_>>(),
+            "scores": values.chunks(SIZE).map(above).collect::<Vec<_>>(),
+        }}));
+        assert_close(value(Metric::F1), expected["contacts"]["f1"].as_f64().unwrap());
+        assert_close(value(Metric::Auc), expected["contacts"]["auc"].as_f64().unwrap());
+        // The reference has the ensemble's distribution, of which 2 of 5 values are zero: PIT values are uniform.
+        for bin in 0..10 {
+            let share = value(Metric::Pit(bin)).unwrap();
+            assert!(
+                (share - 0.1).abs() < 4.0 * (0.09_f64 / reference.len() as f64).sqrt(),
+                "bin {bin}: {share}"
+            );
+        }
+        // Squared errors are those of the mean, absolute ones those of the median.
+        let points = Points { mean: &means, median: &medians };
+        let mut evaluation = Evaluation::new(&of_finger(Modality::CONTACT_FORCE), &[]);
+        evaluation.add(&reference, points).unwrap();
+        let rows = evaluation.rows();
+        let whole = |metric| find(&rows, metric, None, None).value;
+        assert_close(whole(Metric::Rmse), rmse(&series(&reference, &means)).unwrap());
+        assert_close(whole(Metric::Mae), mae(&series(&reference, &medians)).unwrap());
+    }
+}
+
+#[test]
+fn one_member_is_a_point() {
+    for (reference, member) in [(0.0, 0.0), (1.5, 4.0), (3.0, -2.5)] {
+        for members in [Members::Draws, Members::Quantiles] {
+            let ensemble = Ensemble::new(members, 1, vec![member]).unwrap();
+            assert_eq!(ensemble.at(0).crps(reference), f64::from((reference - member).abs()));
+            assert_eq!((ensemble.means()[0], ensemble.medians()[0]), (member, member));
+        }
+    }
+    assert!(Ensemble::new(Members::Draws, 2, vec![1.0; 3]).is_err());
+    assert!(Ensemble::new(Members::Draws, 0, Vec::new()).is_err());
+    assert!(Ensemble::new(Members::Draws, 1, vec![f32::NAN]).is_err());
 }
 
 #[test]

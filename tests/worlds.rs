@@ -146,6 +146,12 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
         ),
         (
             "    contact_kinds: {ground: ground}\n",
+            "    contact_kinds: {onset: ground}\n",
+            "own.yaml:15:20".into(),
+            "metrics call a phase of contacts 'onset'; give this kind another name",
+        ),
+        (
+            "    contact_kinds: {ground: ground}\n",
             "    contact_kinds: {ground: ground, floor: ground}\n",
             "own.yaml:15:44".into(),
             "'ground' belongs to the kind 'ground' as well",

@@ -41,6 +41,9 @@ pub struct Compare {
     /// - r2, rmse, mae, smape, wmape, relative_error
     /// - relative_error_REGION: only for the pixels of a region, such as finger
     /// - r2_KIND: only for a kind of contact, such as ground
+    /// - log_r2, trimmed_r2, f1, auc: of forces, without much weight on the strongest contacts
+    /// - crps, coverage_50, coverage_90, width_50, width_90: of the predictive distribution of forces
+    /// - crps_PHASE: only for contact, onset, sustained, release or free
     /// - r2_from_Ns: only for the samples after N s
     /// - skill: that over persistence
     /// - skill_horizon: the horizon up to which the skill is positive

@@ -15,7 +15,7 @@ pub use ridge::{Given, Ridge};
 pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
 pub use training_mean::TrainingMean;
 
-use harness_metrics::{Evaluation, MetricsError, Row, parts};
+use harness_metrics::{Ensemble, Evaluation, ForceEvaluation, Forces, MetricsError, Points, Row, parts};
 use harness_samples::{Sample, Samples, after, physical};
 use harness_spec::{Modality, Task};
 use rayon::prelude::*;
@@ -67,8 +67,11 @@ pub struct Predicted {
     pub modality: Modality,
     /// Number of samples from the present to the predicted one; 0 for a reconstruction.
     pub horizon: usize,
-    /// Predicted values in physical units, `[windows, width]`; images channel by channel.
+    /// Predicted values in physical units, `[windows, width]`; images channel by channel. They are the means of the
+    /// ensemble if there is one.
     pub values: Vec<f32>,
+    /// The predictive distribution of each value of a vector; `None` if only the values are predicted.
+    pub ensemble: Option<Ensemble>,
 }
 
 /// Receives the predictions of a batch.
@@ -126,20 +129,33 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
     let layout = test.samples.layout();
     let mut evaluations = BTreeMap::<(Modality, usize), Evaluation>::new();
     let mut later = BTreeMap::<(Modality, usize, u32), Evaluation>::new();
+    let mut forces = BTreeMap::<(Modality, usize), ForceEvaluation>::new();
     let mut judged = Judged::default();
     let given = predictor.given().map(rows::given);
     for at in test.windows.chunks(BATCH) {
         predictor.predict(at, &mut |predicted| {
-            let Predicted { modality, horizon, values } = predicted;
+            let Predicted { modality, horizon, values, ensemble } = predicted;
             let definition = &layout[*modality];
             let ahead = after(at, *horizon);
             let reference = physical(test.samples, *modality, &ahead);
             let new = || Evaluation::new(definition, &layout.regions_of(*modality));
+            let medians = ensemble.as_ref().map(Ensemble::medians);
+            let points = Points { mean: values, median: medians.as_ref().unwrap_or(values) };
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
-            add(evaluation, test.samples, *modality, &ahead, &reference, values)?;
+            add(evaluation, test.samples, *modality, &ahead, &reference, points)?;
+            if definition.is_force() {
+                let of_forces = || ForceEvaluation::new(definition);
+                forces.entry((*modality, *horizon)).or_insert_with(of_forces).add(&Forces {
+                    present: &physical(test.samples, *modality, at),
+                    reference: &reference,
+                    predicted: values,
+                    ensemble: ensemble.as_ref(),
+                    seeds: &ahead.iter().map(|sample| sample.index() as u64).collect::<Vec<_>>(),
+                })?;
+            }
             for &since_s in test.since_s {
                 let evaluation = later.entry((*modality, *horizon, since_s)).or_insert_with(new);
-                add_since(since_s, evaluation, test.samples, &ahead, &reference, values)?;
+                add_since(since_s, evaluation, test.samples, &ahead, &reference, points)?;
             }
             if let Some(sampled) = test.sampled {
                 if is_usual(*horizon, given) {
@@ -156,6 +172,7 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
         judged.metrics.extend(rows.into_iter().map(named));
     };
     evaluations.iter().for_each(|((_, horizon), evaluation)| list(*horizon, evaluation.rows()));
+    forces.iter().for_each(|((_, horizon), evaluation)| list(*horizon, evaluation.rows()));
     for ((_, horizon, since_s), evaluation) in &later {
         list(*horizon, evaluation.rows_of_region(&format!("from_{since_s}s")));
     }
@@ -170,7 +187,7 @@ fn add_since(
     samples: &Samples,
     at: &[Sample],
     reference: &[f32],
-    predicted: &[f32],
+    predicted: Points,
 ) -> Result<(), MetricsError> {
     let first = f64::from(since_s) * samples.recording().sample_rate_hz;
     let is_later = |sample: &Sample| samples.place(*sample).1 as f64 >= first;
@@ -178,7 +195,9 @@ fn add_since(
     for part in at.chunk_by(|one, next| is_later(one) == is_later(next)) {
         let values = row * width..(row + part.len()) * width;
         if is_later(&part[0]) {
-            evaluation.add(&reference[values.clone()], &predicted[values])?;
+            let points =
+                Points { mean: &predicted.mean[values.clone()], median: &predicted.median[values.clone()] };
+            evaluation.add(&reference[values], points)?;
         }
         row += part.len();
     }
@@ -192,7 +211,7 @@ fn add(
     modality: Modality,
     at: &[Sample],
     reference: &[f32],
-    predicted: &[f32],
+    predicted: Points,
 ) -> Result<(), MetricsError> {
     if !evaluation.has_regions() {
         return evaluation.add(reference, predicted);

@@ -23,7 +23,7 @@ impl Predictor for Persistence<'_> {
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {
         let now = physical(self.samples, self.modality, at);
         let values = persistence(&self.samples.layout()[self.modality], &now).into_owned();
-        let mut predicted = Predicted { modality: self.modality, horizon: 0, values };
+        let mut predicted = Predicted { modality: self.modality, horizon: 0, values, ensemble: None };
         self.horizons.iter().try_for_each(|&horizon| {
             predicted.horizon = horizon;
             receive(&predicted)

@@ -256,7 +256,7 @@ impl Predictor for Recorded<'_> {
             let width = values.len() / self.windows.len();
             let rows = at.iter().filter_map(|sample| self.windows.binary_search(sample).ok());
             let values = rows.flat_map(|row| &values[row * width..][..width]).copied().collect();
-            receive(&Predicted { modality, horizon, values })?;
+            receive(&Predicted { modality, horizon, values, ensemble: None })?;
         }
         Ok(())
     }

@@ -73,7 +73,7 @@ impl Predictor for Ridge<'_> {
             let width = layout[modality].width();
             let rows = predicted.chunks_exact(predicted.len() / at.len());
             let values = rows.flat_map(|row| &row[first..first + width]).copied().collect();
-            receive(&Predicted { modality, horizon: self.horizon, values })?;
+            receive(&Predicted { modality, horizon: self.horizon, values, ensemble: None })?;
             first += width;
         }
         Ok(())

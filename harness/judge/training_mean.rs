@@ -38,6 +38,6 @@ impl Predictor for TrainingMean {
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {
         let values = self.mean.predict(at.len())?;
-        receive(&Predicted { modality: self.modality, horizon: self.horizon, values })
+        receive(&Predicted { modality: self.modality, horizon: self.horizon, values, ensemble: None })
     }
 }

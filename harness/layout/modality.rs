@@ -13,6 +13,10 @@ pub const CONTACT_KIND: &str = "_kind";
 /// The region of a force's elements without a contact.
 pub const NO_CONTACT: &str = "none";
 
+/// The parts of the predictions of a force that have metrics of their own besides its kinds of contact: those with a
+/// contact at the predicted sample, and the phases, by the contact at the present sample and at the predicted one.
+pub const CONTACT_PARTS: [&str; 5] = ["contact", "onset", "sustained", "release", "free"];
+
 /// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 

@@ -260,7 +260,7 @@ fn pass_on(
     receive: &mut Receive,
 ) -> std::result::Result<(), JudgeError> {
     let values = values.map_err(failed)?;
-    values.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values }))
+    values.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values, ensemble: None }))
 }
 
 /// Returns what a network predicts of each modality in `output` in physical units, `[batch, width]`; images channel by

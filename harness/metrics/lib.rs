@@ -2,7 +2,7 @@
 //!
 //! [`series`] has the formulas. [`Evaluation`] applies those that suit a modality to its joints, links or pixels.
 //! [`parts`] finds the pixels that show parts of the robot. [`baselines`] predicts without a network. [`contact`]
-//! summarizes forces. [`skill`] compares with persistence, horizon by horizon. [`latent`] says how much of a latent
+//! summarizes forces. [`force`] judges their predictions, and [`ensemble`] is a predictive distribution. [`skill`] compares with persistence, horizon by horizon. [`latent`] says how much of a latent
 //! state is used. [`epoch`] is what training logs. `words`
 //! has names and values for people.
 //!
@@ -10,16 +10,20 @@
 
 pub mod baselines;
 pub mod contact;
+pub mod ensemble;
 pub mod epoch;
 mod error;
+pub mod force;
 pub mod latent;
 pub mod parts;
 pub mod series;
 pub mod skill;
 mod words;
 
+pub use ensemble::{Ensemble, Members};
 pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
+pub use force::{ForceEvaluation, Forces};
 pub use series::Series;
 pub use words::{best, higher_is_better, label, rounded};
 
@@ -92,8 +96,24 @@ pub enum Metric {
     Kl,
     /// Number of dimensions of the latent state that are active; see [`latent`].
     Active,
+    /// R2 of ln(1 + force), over the samples with a contact; see [`force`].
+    LogR2,
+    /// R2 without the 1 % of the samples whose reference is farthest from its mean; see [`force`].
+    TrimmedR2,
+    /// F1 of contacts; see [`force`].
+    F1,
+    /// Area under the ROC curve of contacts; see [`force`].
+    Auc,
+    /// Continuous ranked probability score, in the unit of the values; see [`ensemble`].
+    Crps,
+    /// Share of the references in the central interval with this probability in percent.
+    Coverage(u8),
+    /// Mean width of the central interval with this probability in percent, in the unit of the values.
+    Width(u8),
+    /// Share of the PIT values in this tenth of their range, counted from 0.
+    Pit(u8),
     /// Another metric over a region: over the pixels that show the region before or after the change, over the
-    /// contacts of one kind, or over the samples from a time of their episode on. It holds the other metric and the
+    /// contacts of one kind or in one phase, or over the samples from a time of their episode on. It holds the other metric and the
     /// whole name, such as `r2_ground`.
     Regional(&'static Metric, &'static str),
 }
@@ -111,9 +131,41 @@ impl Metric {
         [Smape, Wmape, R2, Rmse, Mae, RelativeError]
     };
 
+    /// The metrics of forces that the strongest contacts do not decide.
+    pub const FORCE: [Metric; 4] = [Metric::LogR2, Metric::TrimmedR2, Metric::F1, Metric::Auc];
+
+    /// The metrics of a predictive distribution of forces.
+    pub const DISTRIBUTION: [Metric; 15] = {
+        use Metric::*;
+        let [half, most] = force::INTERVALS;
+        [
+            Crps,
+            Coverage(half),
+            Coverage(most),
+            Width(half),
+            Width(most),
+            Pit(0),
+            Pit(1),
+            Pit(2),
+            Pit(3),
+            Pit(4),
+            Pit(5),
+            Pit(6),
+            Pit(7),
+            Pit(8),
+            Pit(9),
+        ]
+    };
+
     /// Returns all metrics that do not belong to a region.
     pub fn all() -> impl Iterator<Item = Metric> {
-        Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT)
+        let of_forces = Self::FORCE.into_iter().chain(Self::DISTRIBUTION);
+        Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT).chain(of_forces)
+    }
+
+    /// Returns the metrics that can belong to a region.
+    fn of_regions() -> impl Iterator<Item = &'static Metric> {
+        Self::GENERAL.iter().chain(&Self::DISTRIBUTION)
     }
 
     /// Returns the place of a metric by its name: those of all modalities in their order, and after them all others.
@@ -123,7 +175,7 @@ impl Metric {
 
     /// Returns this metric over the region with this name. A metric of a region has no regions itself.
     pub fn in_region(self, region: &str) -> Self {
-        match Self::GENERAL.iter().find(|general| **general == self) {
+        match Self::of_regions().find(|general| **general == self) {
             Some(general) => Self::Regional(general, intern(&format!("{}_{region}", self.name()))),
             None => self,
         }
@@ -136,7 +188,7 @@ impl Metric {
                 let region = name.strip_prefix(metric.name())?.strip_prefix('_')?;
                 Modality::new(region).map(|_| metric.in_region(region))
             };
-            Self::GENERAL.into_iter().find_map(regional)
+            Self::of_regions().copied().find_map(regional)
         })
     }
 
@@ -153,11 +205,22 @@ impl Metric {
         percentage.into_iter().chain([R2, Rmse, Mae]).collect()
     }
 
-    /// Whether higher values are better. All other metrics are errors, apart from [`Metric::LATENT`].
+    /// Whether one value is better than another. It is not for a latent state, and not for the shape of a
+    /// distribution, whose coverage should be as promised.
+    pub fn is_judgment(self) -> bool {
+        match self {
+            Metric::Regional(metric, _) => metric.is_judgment(),
+            Metric::Coverage(_) | Metric::Width(_) | Metric::Pit(_) => false,
+            metric => !Self::LATENT.contains(&metric),
+        }
+    }
+
+    /// Whether higher values are better. All other metrics that are judgments are errors.
     pub fn higher_is_better(self) -> bool {
         match self {
             Metric::Regional(metric, _) => metric.higher_is_better(),
-            metric => matches!(metric, Metric::R2 | Metric::Skill | Metric::SkillHorizon),
+            Metric::R2 | Metric::Skill | Metric::SkillHorizon => true,
+            metric => Self::FORCE.contains(&metric),
         }
     }
 
@@ -174,6 +237,14 @@ impl Metric {
             Metric::SkillHorizon => "skill_horizon",
             Metric::Kl => "kl",
             Metric::Active => "active",
+            Metric::LogR2 => "log_r2",
+            Metric::TrimmedR2 => "trimmed_r2",
+            Metric::F1 => "f1",
+            Metric::Auc => "auc",
+            Metric::Crps => "crps",
+            Metric::Coverage(percent) => intern(&format!("coverage_{percent}")),
+            Metric::Width(percent) => intern(&format!("width_{percent}")),
+            Metric::Pit(bin) => intern(&format!("pit_{bin}")),
             Metric::Regional(_, name) => name,
         }
     }
@@ -187,7 +258,7 @@ impl FromStr for Metric {
         Self::named(name).ok_or_else(|| {
             format!(
                 "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, \
-                 METRIC_KIND of its kinds of contact, as r2_ground, and METRIC_from_Ns of window.since_s, as \
+                 METRIC_KIND of its kinds of contact, as r2_ground, METRIC_PHASE of a contact, as crps_onset, and METRIC_from_Ns of window.since_s, as \
                  r2_from_10s"
             )
         })
@@ -209,6 +280,33 @@ pub struct Row {
     pub value: Option<f64>,
     /// Unit of the value: "%", "1" for no unit, or the unit of the modality.
     pub unit: String,
+}
+
+/// What is predicted in two ways, row-major `[samples, width]`: the mean, which squared errors ask for, and the median,
+/// which absolute errors ask for. A prediction without a distribution is both.
+#[derive(Debug, Clone, Copy)]
+pub struct Points<'a> {
+    /// The means.
+    pub mean: &'a [f32],
+    /// The medians.
+    pub median: &'a [f32],
+}
+
+impl<'a, T: AsRef<[f32]> + ?Sized> From<&'a T> for Points<'a> {
+    fn from(values: &'a T) -> Self {
+        Self { mean: values.as_ref(), median: values.as_ref() }
+    }
+}
+
+/// Returns the unit of a metric of some elements that does not belong to a region.
+fn metric_unit(definition: &Definition, metric: Metric, elements: &[usize]) -> String {
+    match metric {
+        Metric::Smape | Metric::Wmape => "%".into(),
+        Metric::Rmse | Metric::Mae | Metric::Crps | Metric::Width(_) => {
+            definition.unit_of(elements).unwrap_or_default().into()
+        }
+        _ => "1".into(),
+    }
 }
 
 /// Compares predictions of one modality with the reference, batch by batch.
@@ -262,19 +360,28 @@ impl Evaluation {
     /// # Errors
     /// When the shapes differ or are not a whole number of rows, or a value isn't finite. Nothing is added in that
     /// case.
-    pub fn add(&mut self, reference: &[f32], predicted: &[f32]) -> Result<(), MetricsError> {
+    pub fn add<'a>(
+        &mut self,
+        reference: &[f32],
+        predicted: impl Into<Points<'a>>,
+    ) -> Result<(), MetricsError> {
         let width = self.columns.len();
+        let Points { mean, median } = predicted.into();
         let references = rows("the reference", reference, width)?;
-        let predictions = rows("the prediction", predicted, width)?;
-        check_samples(("the reference", references.len()), ("the prediction", predictions.len()))?;
+        let means = rows("the prediction", mean, width)?;
+        let medians = rows("the median", median, width)?;
+        check_samples(("the reference", references.len()), ("the prediction", means.len()))?;
+        check_samples(("the reference", references.len()), ("the median", medians.len()))?;
         check_finite("the reference", reference, width)?;
-        check_finite("the prediction", predicted, width)?;
+        check_finite("the prediction", mean, width)?;
+        check_finite("the median", median, width)?;
         // Each column adds its values in their order, so the result does not depend on the threads.
         self.columns.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, columns)| {
             let first = chunk * COLUMNS_AT_ONCE;
-            for (reference, predicted) in references.clone().zip(predictions.clone()) {
-                let pairs = reference[first..].iter().zip(&predicted[first..]);
-                columns.iter_mut().zip(pairs).for_each(|(series, (&r, &p))| series.add(r, p));
+            for (reference, (mean, median)) in references.clone().zip(means.clone().zip(medians.clone())) {
+                let points = mean[first..].iter().zip(&median[first..]);
+                let pairs = columns.iter_mut().zip(&reference[first..]).zip(points);
+                pairs.for_each(|((series, &r), (&mean, &median))| series.add_points(r, mean, median));
             }
         });
         Ok(())
@@ -285,10 +392,10 @@ impl Evaluation {
     ///
     /// # Errors
     /// Those of [`Evaluation::add`], and when `parts` has another number of samples.
-    pub fn add_with_regions(
+    pub fn add_with_regions<'a>(
         &mut self,
         reference: &[f32],
-        predicted: &[f32],
+        predicted: impl Into<Points<'a>>,
         parts: &[Option<u8>],
     ) -> Result<(), MetricsError> {
         let width = self.columns.len();
@@ -296,14 +403,15 @@ impl Evaluation {
             (self.definition.is_image(), if self.definition.is_image() { IMAGE_CHANNELS } else { 1 });
         let parts = rows("the mask of regions", parts, width / channels)?;
         check_samples(("the reference", reference.len() / width), ("the mask of regions", parts.len()))?;
-        self.add(reference, predicted)?;
-        let samples = reference.chunks_exact(width).zip(predicted.chunks_exact(width));
-        for ((reference, predicted), parts) in samples.zip(parts) {
-            let values = reference.iter().zip(predicted).zip(parts.iter().cycle());
-            for (element, ((&r, &p), part)) in values.enumerate() {
+        let points = predicted.into();
+        self.add(reference, points)?;
+        let points = points.mean.chunks_exact(width).zip(points.median.chunks_exact(width));
+        for ((reference, (mean, median)), parts) in reference.chunks_exact(width).zip(points).zip(parts) {
+            let values = reference.iter().zip(mean.iter().zip(median)).zip(parts.iter().cycle());
+            for (element, ((&r, (&mean, &median)), part)) in values.enumerate() {
                 if let Some(region) = part {
                     let series = &mut self.regions[usize::from(*region)].series;
-                    series[if is_image { 0 } else { element }].add(r, p);
+                    series[if is_image { 0 } else { element }].add_points(r, mean, median);
                 }
             }
         }
@@ -328,7 +436,7 @@ impl Evaluation {
                     index,
                     metric,
                     value,
-                    unit: self.unit(base, &elements),
+                    unit: metric_unit(&self.definition, base, &elements),
                 });
             };
             let mean_square = mean_squares[&self.definition.unit_of(&elements)];
@@ -389,16 +497,6 @@ impl Evaluation {
         largest
     }
 
-    /// Returns the unit of a metric of some elements that does not belong to a region.
-    fn unit(&self, metric: Metric, elements: &[usize]) -> String {
-        match metric {
-            Metric::Smape | Metric::Wmape => "%".into(),
-            Metric::Rmse | Metric::Mae => self.definition.unit_of(elements).unwrap_or_default().into(),
-            Metric::R2 | Metric::RelativeError | Metric::Regional(..) => "1".into(),
-            Metric::Skill | Metric::SkillHorizon | Metric::Kl | Metric::Active => "1".into(),
-        }
-    }
-
     /// Returns a metric of `series`, pooled; `None` if it isn't defined.
     fn value(&self, metric: Metric, series: &[Series]) -> Option<f64> {
         match metric {
@@ -414,6 +512,9 @@ impl Evaluation {
             // They need the error of persistence, or the network.
             Metric::Skill | Metric::SkillHorizon | Metric::Kl | Metric::Active => None,
             Metric::Regional(metric, _) => self.value(*metric, series),
+            // They are those of a `ForceEvaluation`.
+            Metric::LogR2 | Metric::TrimmedR2 | Metric::F1 | Metric::Auc => None,
+            Metric::Crps | Metric::Coverage(_) | Metric::Width(_) | Metric::Pit(_) => None,
         }
     }
 

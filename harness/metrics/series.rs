@@ -28,12 +28,18 @@ pub struct Series {
 impl Series {
     /// Adds one pair. Both values must be finite.
     pub fn add(&mut self, reference: f32, predicted: f32) {
-        let (r, p) = (f64::from(reference), f64::from(predicted));
-        let error = (r - p).abs();
+        self.add_points(reference, predicted, predicted);
+    }
+
+    /// Adds one pair whose prediction is a distribution with this mean and median. The squared error is that of the
+    /// mean, and the absolute errors are those of the median, which have the smallest expected errors.
+    pub fn add_points(&mut self, reference: f32, mean: f32, median: f32) {
+        let (r, p) = (f64::from(reference), f64::from(median));
+        let (error, of_mean) = ((r - p).abs(), r - f64::from(mean));
         let magnitude = r.abs() + p.abs();
         self.count += 1.0;
         self.absolute_error += error;
-        self.squared_error += error * error;
+        self.squared_error += of_mean * of_mean;
         self.symmetric_error += if magnitude > 0.0 { error / magnitude } else { 0.0 };
         self.absolute_reference += r.abs();
         self.squared_reference += r * r;

@@ -5,17 +5,19 @@ use super::Metric;
 /// The name of a metric for people, with the unit of the values.
 pub fn label(metric: &str, unit: &str) -> String {
     let words = metric.split('_').map(|word| match word {
-        "smape" | "wmape" | "r2" | "rmse" | "mae" | "kl" => word.to_uppercase(),
+        "smape" | "wmape" | "r2" | "rmse" | "mae" | "kl" | "f1" | "auc" | "crps" | "pit" => {
+            word.to_uppercase()
+        }
         _ => word.to_owned(),
     });
     let name = words.collect::<Vec<_>>().join(" ");
     if unit == "1" { name } else { format!("{name} ({unit})") }
 }
 
-/// Whether higher values of the metric with this name are better; `None` for a metric of a latent state, and for a
+/// Whether higher values of the metric with this name are better; `None` for a metric that is no judgment, and for a
 /// user's metric, of which this is unknown.
 pub fn higher_is_better(metric: &str) -> Option<bool> {
-    let metric = Metric::named(metric).filter(|metric| !Metric::LATENT.contains(metric));
+    let metric = Metric::named(metric).filter(|metric| metric.is_judgment());
     metric.map(Metric::higher_is_better)
 }
 

@@ -8,7 +8,8 @@ use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
 use super::values::{ascending, globs, matching};
 use harness_layout::{
-    CLASS_COLORS, CONTACT_KIND, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling, present,
+    CLASS_COLORS, CONTACT_KIND, CONTACT_PARTS, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling,
+    present,
 };
 use harness_yaml::{
     NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
@@ -1183,6 +1184,9 @@ fn contact_kinds(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), 
         named("a kind of contact", kind)?;
         if kind == NO_CONTACT {
             return Err(format!("'{NO_CONTACT}' means no contact; give this kind another name"));
+        }
+        if CONTACT_PARTS.iter().any(|part| kind == *part) {
+            return Err(format!("metrics call a phase of contacts '{kind}'; give this kind another name"));
         }
     }
     let recorded = format!("{name}{CONTACT_KIND}");

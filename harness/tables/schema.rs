@@ -308,10 +308,12 @@ fn metric_values() -> Vec<Column> {
             "metric",
             "smape, wmape, r2, rmse, mae, relative_error; relative_error_arm, relative_error_finger and those of other \
              regions: over the pixels that show the region before or after the change; r2_ground, mae_none and those \
-             of other kinds of contact: over the links with such a contact; r2_from_10s and others of window.since_s: \
+             of other kinds of contact: over the links with such a contact; crps_onset and others of a phase of a contact: over the links in \
+             it; r2_from_10s and others of window.since_s: \
              over the samples from that time of their episode on; kl: the divergence of the latent state, or of one of \
              its dimensions, from what is expected before the present sample, averaged over the test windows; active: \
-             the number of dimensions whose kl is above 0.01 nats; or a user's metric",
+             the number of dimensions whose kl is above 0.01 nats; log_r2, trimmed_r2, f1, auc, crps, coverage_90, \
+             width_90, pit_0 and so on: see docs/metrics.md; or a user's metric",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),

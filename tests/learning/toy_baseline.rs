@@ -18,6 +18,7 @@ impl Predictor for Zero {
             modality: *modality,
             horizon: *horizon,
             values: vec![0.0; at.len() * width],
+            ensemble: None,
         };
         horizons.iter().try_for_each(|horizon| receive(&predicted(horizon)))
     }

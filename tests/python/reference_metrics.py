@@ -1,4 +1,4 @@
-"""Metrics and ridge regression as scikit-learn and NumPy compute them, for the Rust tests to compare with.
+"""Metrics and ridge regression as scikit-learn, scoringrules and NumPy compute them, for the Rust tests to compare with.
 
 Reads JSON from standard input and writes JSON to standard output. Either part may be absent:
 
@@ -8,14 +8,19 @@ Reads JSON from standard input and writes JSON to standard output. Either part m
            the columns of a [samples, columns] matrix are pooled
     {"ridge": {"x": [[...]], "y": [[...]], "alpha": a}}
         -> {"ridge": {"coefficients": [outputs][inputs], "intercept": [outputs]}}
+    {"distributions": {"reference": [...], "members": [[...]], "draws": true or false}}
+        -> {"distributions": {"crps": [...], "intervals": {"50": [lows, highs], "90": [lows, highs]}}}
+    {"contacts": {"touches": [...], "predicted": [...], "scores": [...]}}
+        -> {"contacts": {"f1", "auc"}}
 """
 
 import json
 import sys
 
 import numpy as np
+import scoringrules
 from sklearn.linear_model import Ridge
-from sklearn.metrics import mean_absolute_error, r2_score, root_mean_squared_error
+from sklearn.metrics import f1_score, mean_absolute_error, r2_score, roc_auc_score, root_mean_squared_error
 
 
 def smape(reference: np.ndarray, predicted: np.ndarray) -> float:
@@ -45,6 +50,19 @@ def ridge(x: list[list[float]], y: list[list[float]], alpha: float) -> dict[str,
     return {"coefficients": model.coef_.tolist(), "intercept": model.intercept_.tolist()}
 
 
+def distributions(reference: list[float], members: list[list[float]], draws: bool) -> dict:
+    values, estimator, method = np.array(members), "fair" if draws else "nrg", "weibull" if draws else "hazen"
+    bounds = {percent: [50 - percent / 2, 50 + percent / 2] for percent in (50, 90)}
+    return {
+        "crps": scoringrules.crps_ensemble(np.array(reference), values, estimator=estimator).tolist(),
+        "intervals": {p: np.percentile(values, at, axis=1, method=method).tolist() for p, at in bounds.items()},
+    }
+
+
+def contacts(touches: list[bool], predicted: list[bool], scores: list[float]) -> dict[str, float]:
+    return {"f1": f1_score(touches, predicted), "auc": roc_auc_score(touches, scores)}
+
+
 def main() -> None:
     request = json.load(sys.stdin)
     answer = {}
@@ -52,6 +70,9 @@ def main() -> None:
         answer |= metrics(np.array(request["reference"], float), np.array(request["predicted"], float))
     if "ridge" in request:
         answer["ridge"] = ridge(**request["ridge"])
+    for part in (distributions, contacts):
+        if part.__name__ in request:
+            answer[part.__name__] = part(**request[part.__name__])
     json.dump(answer, sys.stdout)
 
 

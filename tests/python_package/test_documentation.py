@@ -140,6 +140,10 @@ def test_the_page_on_metrics_has_every_metric_and_baseline(library: Path) -> Non
     rows = harness.query("select distinct metric, model from metrics", library)
     metrics = {re.sub(r"^\w+_from_\d+s$", "METRIC_from_Ns", name) for name in rows["metric"]}
     metrics = {re.sub("^relative_error_.+", "relative_error_REGION", name) for name in metrics}
+    phase = r"^[a-z]\w+_(contact|onset|sustained|release|free)$"
+    metrics = {re.sub(phase, "METRIC_PHASE", name) for name in metrics}
     metrics = {re.sub("^(r2|rmse|mae|wmape)_.+", "METRIC_KIND", name) for name in metrics}
+    # A network has a distribution only if latent states are drawn.
+    metrics |= {"coverage_50", "coverage_90", "width_50", "width_90", "pit_BIN"}
     # The simulator is a model of another program.
     assert names == metrics | set(rows["model"]) - {"network", "simulator"} | {"METRIC_from_Ns", "skill", "skill_horizon"}
