@@ -26,6 +26,7 @@ mod many_runs;
 mod models;
 mod numbers;
 mod outside;
+mod own_test;
 mod pack;
 mod paths;
 mod plot;

@@ -7,10 +7,10 @@ use harness_ops::frames::{Frames, SampleFrames};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};
-use harness_simulation::{Episode, Scene, SimulationError, Simulator};
+use harness_simulation::{Episode, EpisodePlan, Scene, SimulationError, Simulator};
 use harness_spec::{
-    Action, Division, IMAGE_CHANNELS, Layout, Modality, Scale, Scaling, Scalings, Scenario, Setting,
-    Simulation, Split, Window, World,
+    Action, Division, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, Scale, Scaling, Scalings, Scenario,
+    Setting, Simulation, Split, Window, World,
 };
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -812,4 +812,79 @@ fn the_built_in_worlds_record_the_bits_that_they_did_before() {
         [("empty-71ad3b2bc9943e8d", "7e0ac7a668de31a0"), ("cluttered-470df0900ac380cb", "e3915843750e9b1c")];
     let found = [Scenario::EMPTY, Scenario::CLUTTERED].map(hash);
     assert_eq!(found.each_ref().map(|(name, hash)| (name.as_str(), hash.as_str())), expected);
+}
+
+// --- a dataset of its own for the test ---
+
+/// All random values of each of three episodes: setpoints in the first second, places of boxes, and factors.
+fn drawn(scene: &Scene, spec: &Simulation) -> Vec<[String; 3]> {
+    let draw = |index| {
+        let plan = EpisodePlan::draw(scene, spec, index).unwrap();
+        let setpoints = (0..1000).step_by(100).map(|step| {
+            let mut setpoint = [0.0; ARM_JOINTS];
+            plan.setpoint(step, &mut setpoint);
+            setpoint
+        });
+        let factors: Vec<f64> = plan.factors.values().collect();
+        let values = [
+            format!("{:?}", setpoints.collect::<Vec<_>>()),
+            format!("{:?}", plan.boxes),
+            format!("{factors:?}"),
+        ];
+        assert!(values.iter().all(|value| value != "[]"));
+        values
+    };
+    (0..3).map(draw).collect()
+}
+
+#[test]
+fn a_test_never_shares_an_episode_with_a_dataset_for_training() {
+    let original = scene(Scenario::CLUTTERED);
+    let edited = original.xml().replace("damping=\"3\"", "damping=\"4\"");
+    let edited = Scene::from_xml(World::paper(Scenario::CLUTTERED), &edited, "edited.xml".into()).unwrap();
+    let factors = || ["box_mass", "finger_stiffness"].map(str::to_owned).to_vec();
+    let seeds = [0, 1, MAX_SEED];
+    let of = |test| seeds.map(|seed| Simulation { seed, test, factors: factors(), ..short() });
+    let (mut trained, mut names) = ([(); 3].map(|()| BTreeSet::new()), BTreeSet::new());
+    for (scene, spec) in [&original, &edited].iter().flat_map(|scene| of(false).map(|spec| (scene, spec))) {
+        names.insert(dataset_of(Path::new(""), scene, &spec).name().to_owned());
+        for values in drawn(scene, &spec) {
+            for (seen, value) in trained.iter_mut().zip(values) {
+                seen.insert(value);
+            }
+        }
+    }
+    // The edited world has the same motions, which is what a test must not have.
+    assert_eq!(trained.each_ref().map(BTreeSet::len), [9, 9, 9]);
+    for (scene, spec) in [&original, &edited].iter().flat_map(|scene| of(true).map(|spec| (scene, spec))) {
+        assert!(names.insert(dataset_of(Path::new(""), scene, &spec).name().to_owned()));
+        for values in drawn(scene, &spec) {
+            let shared = trained.iter().zip(&values).filter(|(seen, value)| seen.contains(*value));
+            assert_eq!(shared.count(), 0, "{spec:?}");
+        }
+    }
+}
+
+#[test]
+fn all_of_a_test_dataset_and_nothing_else_is_for_the_test() {
+    let collected = Collected::new(Scenario::EMPTY, 2);
+    let test = Simulation { episodes: 2, test: true, ..short() };
+    let test = dataset_of(collected.root.path(), &collected.scene, &test);
+    collect(&test, &collected.scene, 2, &Silent).unwrap();
+    assert_eq!(Dataset::at(test.folder()).unwrap().spec(), test.spec());
+    let samples = collected.dataset.load_with_test(Some(&test), FramePlace::Memory, &Silent).unwrap();
+    let alone = test.load(FramePlace::Memory, &Silent).unwrap();
+    let Partition { training, validation, test } =
+        samples.partition(&Split::default(), &Window::TRANSITION).unwrap();
+    let episodes = |part: &[Sample]| part.iter().map(|at| samples.place(*at).0).collect::<BTreeSet<_>>();
+    assert_eq!(episodes(&training), BTreeSet::from([0, 1, 2]));
+    assert_eq!(episodes(&validation), BTreeSet::from([3]));
+    assert_eq!(episodes(&test), BTreeSet::from([0, 1]));
+    assert_eq!(test.len(), alone.windows(&Window::TRANSITION).len());
+    for (at, alone_at) in test.iter().zip(alone.windows(&Window::TRANSITION)) {
+        assert_eq!(samples.place(*at), alone.place(alone_at));
+        let modality = Modality::CONTACT_FORCE;
+        assert_eq!(samples.vector(modality, *at), alone.vector(modality, alone_at));
+        assert_eq!(samples.frame_bytes(Modality::VISION, *at), alone.frame_bytes(Modality::VISION, alone_at));
+    }
 }

@@ -87,6 +87,7 @@ fn what_is_left_out_gets_its_default() {
         },
         simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
+        test: None,
         scaling: Default::default(),
         training: Training {
             loss_weights: [(Modality::PROPRIOCEPTION, 1.0), (Modality::CONTACT_FORCE, 1.0)].into(),
@@ -590,7 +591,7 @@ fn rules_that_tie_settings_together_are_checked() {
 
 #[test]
 fn shares_become_whole_episodes_of_each_kind() {
-    let counts = |episodes| Split { validation: 0.1, test: 0.2, ..Split::default() }.counts(episodes);
+    let counts = |episodes| Split { validation: 0.1, test: 0.2, ..Split::default() }.counts(episodes, false);
     assert_eq!(counts(40), Some(SplitCounts { training: 28, validation: 4, test: 8 }));
     assert_eq!(counts(3), Some(SplitCounts { training: 1, validation: 1, test: 1 }));
     assert_eq!(counts(2), None);
@@ -640,6 +641,67 @@ fn a_run_that_is_scaled_as_runs_were_before_keeps_its_hash() {
     assert_eq!(plain.scalings(&Layout::finger())[&Modality::CONTACT_FORCE], Scaling::plain(false));
     // This is the spec's hash from before `scaling` and `split.by` were settings.
     assert_eq!(plain.hash(), "3878ffe86883afc2");
+}
+
+#[test]
+fn a_test_with_a_dataset_of_its_own_is_part_of_what_names_a_run() {
+    let run = |addition: &str| load(&format!("{BASE}{addition}")).runs().remove(0);
+    let tested = run("test: {}\n");
+    assert_eq!(tested.test.as_ref().map(|test| (test.episodes, test.seed)), Some((200, 0)));
+    let simulation = tested.test_simulation().unwrap();
+    assert_eq!(Simulation { test: false, ..simulation.clone() }, tested.simulation.clone().unwrap());
+    assert!(simulation.test);
+    let names = |run: &spec::RunSpec| (run.hash(), run.task_hash("dataset"));
+    let others = [run(""), run("test: {episodes: 20}\n"), run("test: {seed: 1}\n")];
+    for other in &others {
+        assert_ne!(names(other), names(&tested));
+    }
+    assert_eq!(run("test: {}\nsplit: {test: 0.3}\n"), tested, "split.test has no effect");
+    assert_eq!(serde_yaml::from_str::<spec::RunSpec>(&tested.to_yaml()).unwrap(), tested);
+    assert_eq!(load(&tested.to_experiment_yaml("again")).runs(), [tested]);
+    // Runs on other data are tested on the same episodes.
+    let text = format!(
+        "{BASE}test: {{episodes: 50, seed: 3}}\nquick: {{test.episodes: 20}}\n\
+         vary: {{simulation.seed: [0, 3], simulation.episodes: [20, 40]}}\n"
+    );
+    let of = |quick| load_with(&text, &[], quick).unwrap().simulated();
+    for (quick, episodes) in [(false, 50), (true, 20)] {
+        let tests: Vec<Simulation> =
+            of(quick).into_iter().map(|(_, one)| one).filter(|one| one.test).collect();
+        assert!(tests.iter().all(|test| (test.seed, test.episodes) == (3, episodes)));
+        assert_eq!((of(quick).len(), tests.len()), (10, 2), "in each of two worlds");
+    }
+}
+
+#[test]
+fn a_test_that_can_have_no_dataset_of_its_own_is_refused() {
+    let refused = [
+        (
+            &["test.episodes=9", "split.by=time"][..],
+            "a split by time takes the test from each episode of the run's own",
+        ),
+        (
+            &["test.episodes=9", "split.by=sample"],
+            "a split by sample takes the test from each episode of the run's own",
+        ),
+        (
+            &["test.episodes=9", "scenarios=[lab-0123456789abcdef]"],
+            "is imported, so no episodes can be simulated",
+        ),
+        (&["test.episodes=9", "simulation.episodes=1"], "leaves none for training"),
+        (&["test.dataset=x"], "test.episodes, test.seed"),
+        (&["test.episodes=0"], "1"),
+        (&["simulation.test=true"], "simulation.test"),
+        (&["simulation.seed=9007199254740992"], "9007199254740991"),
+    ];
+    for (overrides, expected) in refused {
+        let said = load_with(BASE, overrides, false).unwrap_err();
+        assert!(said.contains(expected), "{overrides:?}: {said}");
+    }
+    assert_eq!(
+        load_with(BASE, &["test.episodes=9", "simulation.episodes=2"], false).unwrap().simulation.episodes,
+        2
+    );
 }
 
 #[test]
@@ -1719,6 +1781,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             sample_rate_hz: *[10.0, 20.0, 100.0].choose(random).unwrap(),
             policy: None,
             factors: Vec::new(),
+            test: false,
             world: [
                 ("rotation_range_rad".to_owned(), Setting::Range(ranges[0])),
                 ("lift_range_m".to_owned(), Setting::Range(ranges[1])),
@@ -1728,6 +1791,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             .into(),
         },
         split: random_split(random),
+        test: None,
         scaling: Modality::BUILT_IN
             .iter()
             .map(|&modality| (modality, random_scaling(modality, random)))

@@ -251,7 +251,7 @@ impl Show {
 }
 
 /// The columns of `runs` that are shown of every run.
-const ESSENTIAL: [&str; 11] = [
+const ESSENTIAL: [&str; 12] = [
     "input",
     "output",
     "architecture",
@@ -259,6 +259,7 @@ const ESSENTIAL: [&str; 11] = [
     "variant",
     "seed",
     "dataset",
+    "test_dataset",
     "started",
     "parameters",
     "harness_version",

@@ -277,6 +277,9 @@ impl Task {
         println!("{}/{}", task.experiment(), task.name());
         let mut lines =
             vec![("task".to_owned(), task.hash()), ("dataset".to_owned(), task.dataset().name().to_owned())];
+        if spec.test.is_some() {
+            lines.push(("test".to_owned(), task.tested().name().to_owned()));
+        }
         let of = |modality: &Modality| task.dataset().layout().get(*modality).map(described);
         let inputs = spec.input.iter().filter_map(of).collect::<Vec<_>>();
         let outputs = spec.output.iter().filter_map(of).collect::<Vec<_>>();
@@ -287,10 +290,13 @@ impl Task {
         lines.push(("outputs".to_owned(), outputs.join(", ")));
         lines.push(("context".to_owned(), counted(spec.window.context, "sample")));
         lines.push(("horizons".to_owned(), format!("{} {unit} ahead", horizons.join(", "))));
-        let split = format!(
-            "by {}, {} for validation, {} for the test",
-            spec.split.by, spec.split.validation, spec.split.test
-        );
+        let split = match &spec.test {
+            Some(_) => format!("by {}, {} for validation", spec.split.by, spec.split.validation),
+            None => format!(
+                "by {}, {} for validation, {} for the test",
+                spec.split.by, spec.split.validation, spec.split.test
+            ),
+        };
         lines.push(("split".to_owned(), split));
         match missing {
             0 => lines.push(("windows".to_owned(), windows(&runner.open_task(task)?))),

@@ -150,6 +150,7 @@ impl Run {
         if let Some(detail) = self.dry_run {
             let plan: Vec<&Planned> = own(&plan).into_iter().map(|index| &plan[index]).collect();
             print_plan(&plan);
+            print_datasets(&plan);
             search::print_rungs(&experiment);
             self.print_settings(&experiment, &plan, detail)?;
             print_networks(&plan)?;
@@ -278,7 +279,7 @@ impl Collect {
                         counted(episodes, "episode"),
                         there(&dataset),
                     ));
-                    if episodes > 0 && dataset.missing().is_empty() {
+                    if episodes > 0 && !simulation.test && dataset.missing().is_empty() {
                         constant_outputs(&experiment, &dataset)?.iter().for_each(|note| eprintln!("{note}"));
                     }
                 }
@@ -321,6 +322,23 @@ fn print_plan(plan: &[&Planned]) {
         let trial = search::described(&planned.spec);
         (format!("{verb:<7} {:<36}", planned.folder.id()).trim_end().to_owned(), format!("{trial}{reason}"))
     }));
+}
+
+/// Prints the datasets of a plan whose tests have datasets of their own.
+fn print_datasets(plan: &[&Planned]) {
+    let mut lines = BTreeSet::new();
+    for planned in plan {
+        let Some((dataset, test)) = planned.datasets_with_test() else { continue };
+        lines.extend([("training and validation", dataset), ("test", test)].map(|(what, dataset)| {
+            let made =
+                format!("{} of {}", dataset.files(), counted(dataset.spec().episodes as usize, "episode"));
+            (dataset.name().to_owned(), format!("for {what}, {made} made"))
+        }));
+    }
+    if !lines.is_empty() {
+        print_text("\nthe datasets:");
+        print_beside(lines.into_iter().map(|(name, what)| (format!("  {name}"), what)));
+    }
 }
 
 /// Prints the layers of each network that the plan's runs train. Equal networks are printed once.

@@ -276,11 +276,31 @@ impl Dataset {
     /// # Errors
     /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        let mut samples =
-            Samples::new(self.recording(), self.layout.clone(), self.len(), frames, &self.folder)?;
-        let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
-        progress.begin(&format!("loading {}", self.scenario), self.len() as u64, "samples");
-        push_all(&mut samples, self.spec.episodes, read, progress)?;
+        self.load_with_test(None, frames, progress)
+    }
+
+    /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
+    ///
+    /// # Errors
+    /// See [`Dataset::load`].
+    pub fn load_with_test(
+        &self,
+        test: Option<&Dataset>,
+        frames: FramePlace,
+        progress: &dyn Progress,
+    ) -> Result<Samples, DatasetError> {
+        let all = self.len() + test.map_or(0, Dataset::len);
+        let mut samples = Samples::new(self.recording(), self.layout.clone(), all, frames, &self.folder)?;
+        let push = |dataset: &Dataset, samples: &mut Samples| {
+            let read = |index: u32| dataset.read(index, frames != FramePlace::Nowhere);
+            push_all(samples, dataset.spec.episodes, read, progress)
+        };
+        progress.begin(&format!("loading {}", self.scenario), all as u64, "samples");
+        push(self, &mut samples)?;
+        if let Some(test) = test {
+            samples.begin_test();
+            push(test, &mut samples)?;
+        }
         progress.end();
         Ok(samples)
     }

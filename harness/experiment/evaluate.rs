@@ -95,8 +95,9 @@ fn forces(samples: &Samples) -> Vec<ForceRows> {
     };
     let mut rows = Vec::new();
     for modality in samples.layout().stored_vectors().filter(|definition| definition.is_force()) {
-        rows.push(of(modality, None, 0..samples.len()));
-        let episodes = (0..).zip(samples.episodes());
+        let own = samples.own_episodes();
+        rows.push(of(modality, None, 0..own.last().map_or(0, |last| last.end)));
+        let episodes = (0..).zip(own);
         rows.extend(episodes.map(|(episode, range)| of(modality, Some(episode), range.clone())));
     }
     rows

@@ -3,7 +3,7 @@
 use super::evaluate::{self, References};
 use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
-use harness_dataset::AnyDataset;
+use harness_dataset::{AnyDataset, Dataset};
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings, quoted};
 use harness_samples::{Partition, Sample, Samples, ends};
@@ -160,6 +160,11 @@ impl PredictionTask {
         &self.source.dataset
     }
 
+    /// Returns the dataset whose episodes are for the test: one of its own, or the run's.
+    pub fn tested(&self) -> AnyDataset {
+        self.source.tested()
+    }
+
     /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
     pub fn world_file(&self) -> Option<PathBuf> {
         self.source.world_file()
@@ -172,10 +177,7 @@ impl PredictionTask {
 
     /// Returns the number of episodes that have not been collected.
     pub fn missing(&self) -> usize {
-        match &self.source.dataset {
-            AnyDataset::Simulated(dataset) => dataset.missing().len(),
-            AnyDataset::Imported(_) => 0,
-        }
+        self.source.simulated().map(|dataset| dataset.missing().len()).sum()
     }
 
     /// Returns the spec of a run of a model.
@@ -386,7 +388,8 @@ impl Runner<'_> {
                 continue;
             }
             let known = tasks.iter().find(|task| {
-                (&task.spec.scenario, &task.spec.simulation) == (&spec.scenario, &spec.simulation)
+                (&task.spec.scenario, &task.spec.simulation, &task.spec.test)
+                    == (&spec.scenario, &spec.simulation, &spec.test)
             });
             let source = match known {
                 Some(task) => task.source.clone(),
@@ -414,7 +417,7 @@ impl Runner<'_> {
     /// When the dataset can't be read, or the split leaves no training samples.
     pub fn open_task(&self, task: PredictionTask) -> Result<OpenTask, ExperimentError> {
         let frames = self.frame_place(&task.spec, &task.source);
-        self.check_room(&task.source.dataset, frames)?;
+        self.check_room(&task.source, frames)?;
         let open = self.open(&task.spec, &task.source, frames)?;
         let Partition { training, validation, test } = &open.partition;
         let whole = |part| whole_windows(part, &task.spec);
@@ -435,7 +438,9 @@ impl Runner<'_> {
         let External { model, seed, notes, network, predictions, .. } = external;
         let recorded = task.recorded(&model, predictions, self.progress)?;
         let spec = task.task.run(&model, seed);
-        let folder = self.registry.run(&task.task.experiment, &spec, task.task.source.dataset.name());
+        let source = &task.task.source;
+        let folder = self.registry.run(&task.task.experiment, &spec, source.dataset.name());
+        let folder = folder.with_test(source.test.as_ref().map(Dataset::name));
         let submission = Submission {
             task: task.task.hash(),
             predictions_sha256: digest(&recorded),

@@ -21,7 +21,7 @@ pub use worlds::results;
 
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
-use harness_dataset::{AnyDataset, DatasetError, Imported};
+use harness_dataset::{AnyDataset, Dataset, DatasetError, Imported};
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
@@ -193,10 +193,31 @@ pub struct Planned {
 /// The origin of a scenario's samples: a dataset and, if it is simulated, its scene.
 struct Source {
     dataset: AnyDataset,
+    /// The dataset for the test, if it has one of its own.
+    test: Option<Dataset>,
     scene: Option<Box<Scene>>,
 }
 
 impl Source {
+    /// Returns the dataset whose episodes are for the test.
+    fn tested(&self) -> AnyDataset {
+        self.test.clone().map_or_else(|| self.dataset.clone(), AnyDataset::Simulated)
+    }
+
+    /// Returns the number of samples, also of those for the test.
+    fn len(&self) -> usize {
+        self.dataset.len() + self.test.as_ref().map_or(0, Dataset::len)
+    }
+
+    /// Returns the simulated datasets.
+    fn simulated(&self) -> impl Iterator<Item = &Dataset> {
+        let own = match &self.dataset {
+            AnyDataset::Simulated(dataset) => Some(dataset),
+            AnyDataset::Imported(_) => None,
+        };
+        own.into_iter().chain(&self.test)
+    }
+
     /// Returns an error if a run can't use the samples.
     fn check(&self, spec: &RunSpec) -> Result<(), ExperimentError> {
         if let AnyDataset::Imported(dataset) = &self.dataset {
@@ -247,6 +268,12 @@ impl Planned {
         matches!(self.decision, Decision::Skip | Decision::Diverged { .. })
     }
 
+    /// Returns the dataset for training and validation, and that for the test; `None` if the test has none of its own.
+    pub fn datasets_with_test(&self) -> Option<(&Dataset, &Dataset)> {
+        let mut datasets = self.source.simulated();
+        datasets.next().zip(datasets.next())
+    }
+
     /// Returns the layout of the dataset's samples.
     pub fn layout(&self) -> &Arc<Layout> {
         self.source.dataset.layout()
@@ -256,7 +283,7 @@ impl Planned {
     fn shares_data(&self, other: &Planned) -> bool {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
-            let data = (&spec.scenario, &spec.simulation, &spec.split, &spec.window);
+            let data = (&spec.scenario, &spec.simulation, &spec.split, &spec.test, &spec.window);
             let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
             (data, form, device(spec))
         }
@@ -294,23 +321,28 @@ impl<'a> Runner<'a> {
         if let Some(repetitions) = experiment.repetitions() {
             self.progress.say(&repetitions);
         }
-        let mut sources: Vec<(Origin, Option<Simulation>, Arc<Source>)> = Vec::new();
+        type Simulations = [Option<Simulation>; 2];
+        let mut sources: Vec<(Origin, Simulations, Arc<Source>)> = Vec::new();
         let mut wanted = Vec::new();
         for spec in experiment.runs() {
+            let simulations = [spec.simulation.clone(), spec.test_simulation()];
             let known = sources
                 .iter()
-                .find(|(origin, simulation, _)| (origin, simulation) == (&spec.scenario, &spec.simulation));
+                .find(|(origin, simulated, _)| (origin, simulated) == (&spec.scenario, &simulations));
             let source = match known {
                 Some((.., source)) => source.clone(),
                 None => {
                     let source = Arc::new(self.source(experiment, &spec)?);
-                    sources.push((spec.scenario.clone(), spec.simulation.clone(), source.clone()));
+                    sources.push((spec.scenario.clone(), simulations, source.clone()));
                     source
                 }
             };
             source.check(&spec)?;
             let name = source.dataset.name();
-            let folder = |spec: RunSpec| (self.registry.run(&experiment.name, &spec, name), spec);
+            let folder = |spec: RunSpec| {
+                let folder = self.registry.run(&experiment.name, &spec, name);
+                (folder.with_test(source.test.as_ref().map(Dataset::name)), spec)
+            };
             let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
             wanted.push((rungs, source));
         }
@@ -345,12 +377,15 @@ impl<'a> Runner<'a> {
             (Some(world), _) => {
                 let scene = Box::new(Scene::new(world)?);
                 let simulation = spec.simulation.clone().unwrap_or_default();
-                scene.check(&simulation)?;
+                let test = spec.test_simulation();
+                std::iter::once(&simulation).chain(&test).try_for_each(|of| scene.check(of))?;
                 let dataset = AnyDataset::Simulated(dataset_of(&root, &scene, &simulation));
-                Source { dataset, scene: Some(scene) }
+                let test = test.map(|simulation| dataset_of(&root, &scene, &simulation));
+                Source { dataset, test, scene: Some(scene) }
             }
             (None, origin) => {
-                Source { dataset: AnyDataset::Imported(Imported::open(&root, origin.name())?), scene: None }
+                let dataset = AnyDataset::Imported(Imported::open(&root, origin.name())?);
+                Source { dataset, test: None, scene: None }
             }
         };
         Ok(source)
@@ -360,15 +395,16 @@ impl<'a> Runner<'a> {
     fn frame_place(&self, spec: &RunSpec, source: &Source) -> FramePlace {
         let layout = source.dataset.layout();
         match spec.modalities().iter().any(|modality| layout[*modality].is_image()) {
-            true => FramePlace::for_samples(layout, source.dataset.len(), self.memory),
+            true => FramePlace::for_samples(layout, source.len(), self.memory),
             false => FramePlace::Nowhere,
         }
     }
 
     /// Collects the missing episodes of a run's dataset, if there is room for it.
     fn collect(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
-        self.check_room(&source.dataset, frames)?;
-        if let (AnyDataset::Simulated(dataset), Some(scene)) = (&source.dataset, &source.scene) {
+        self.check_room(source, frames)?;
+        let Some(scene) = &source.scene else { return Ok(()) };
+        for dataset in source.simulated() {
             match self.shard {
                 Some(shard) => collect_together(dataset, scene, shard, self.threads, self.progress)?,
                 None => collect(dataset, scene, self.threads, self.progress)?,
@@ -378,17 +414,17 @@ impl<'a> Runner<'a> {
     }
 
     /// Returns an error if there is no space for a dataset. Reports it if frames are stored on disk.
-    fn check_room(&self, dataset: &AnyDataset, frames: FramePlace) -> Result<(), ExperimentError> {
-        let name = dataset.name().to_owned();
-        let (needed, available) =
-            (Samples::bytes(dataset.layout(), dataset.len(), frames), memory::within_reach());
+    fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
+        let (layout, samples) = (source.dataset.layout(), source.len());
+        let name = source.dataset.name().to_owned();
+        let (needed, available) = (Samples::bytes(layout, samples, frames), memory::within_reach());
         if needed > available {
             return Err(ExperimentError::Memory { dataset: name, needed, available });
         }
         if frames != FramePlace::Disk {
             return Ok(());
         }
-        let (needed, folder) = (frame_bytes(dataset.layout(), dataset.len()), self.registry.datasets());
+        let (needed, folder) = (frame_bytes(layout, samples), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
             return Err(ExperimentError::Disk { dataset: name, needed, available, folder });
         }
@@ -402,7 +438,10 @@ impl<'a> Runner<'a> {
     /// Reads a run's dataset, divides it and normalizes it.
     fn open(&self, spec: &RunSpec, source: &Source, frames: FramePlace) -> Result<OpenData, ExperimentError> {
         let begin = Instant::now();
-        let samples = source.dataset.load(frames, self.progress)?;
+        let samples = match &source.dataset {
+            AnyDataset::Simulated(own) => own.load_with_test(source.test.as_ref(), frames, self.progress)?,
+            AnyDataset::Imported(own) => own.load(frames, self.progress)?,
+        };
         if let AnyDataset::Imported(dataset) = &source.dataset
             && let Some(note) = dataset.short_episodes(spec)
         {
@@ -416,7 +455,7 @@ impl<'a> Runner<'a> {
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let (samples, normalizers) = (Arc::new(samples), Arc::new(normalizers));
         let data = NormalizedData::new(samples, normalizers, spec.action, candle_core::Device::Cpu);
-        let bytes = Samples::bytes(source.dataset.layout(), source.dataset.len(), frames);
+        let bytes = Samples::bytes(source.dataset.layout(), source.len(), frames);
         Ok(OpenData { data, partition, bytes, seconds: begin.elapsed().as_secs_f64() })
     }
 

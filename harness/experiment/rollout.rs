@@ -93,8 +93,8 @@ pub struct Rollout {
 /// sample is predicted from those until `horizon` samples before it, and from the recorded actions after these.
 ///
 /// # Arguments
-/// * `episode`: the episode of the dataset; `None` for the first one that the run was tested on, if its data are split
-///   by episode, and the last one otherwise
+/// * `episode`: the episode of the dataset that the run was tested on; `None` for the first one of the test, if the
+///   data are split by episode, and the last one otherwise
 /// * `horizon`: number of samples, which may be larger than in training; at least 1
 ///
 /// # Errors
@@ -121,14 +121,21 @@ pub fn rollout(
     let network = network.map_err(|error| ModelError::from(LearningError::from(error)))?;
     let normalizers = load_network(&path, &parameters)?;
 
-    let path = registry.datasets().join(&record.dataset);
+    let path = registry.datasets().join(record.tested());
     if !path.is_dir() {
         return Err(RolloutError::NoDataset { run: record.run, path });
     }
     let dataset = AnyDataset::at(&path)?;
-    let episodes = spec.simulation.as_ref().map_or(dataset.episodes(), |simulation| simulation.episodes);
-    let tested = spec.split.counts(episodes as usize).filter(|_| spec.split.by == Division::Episode);
-    let usual = episodes.saturating_sub(tested.map_or(1, |counts| counts.test as u32));
+    let simulation = spec.test_simulation().or_else(|| spec.simulation.clone());
+    let episodes = simulation.map_or(dataset.episodes(), |simulation| simulation.episodes);
+    let usual = match (&spec.test, spec.split.by) {
+        (Some(_), _) => 0,
+        (None, Division::Episode) => {
+            let tested = spec.split.counts(episodes as usize, false);
+            episodes.saturating_sub(tested.map_or(1, |counts| counts.test as u32))
+        }
+        (None, Division::Time | Division::Sample) => episodes.saturating_sub(1),
+    };
     let episode = episode.unwrap_or(usual);
     if episode >= episodes {
         return Err(RolloutError::NoEpisode { run: record.run, episode, episodes });

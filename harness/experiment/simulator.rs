@@ -50,9 +50,9 @@ pub(super) fn simulated(
     known: &Knowledge,
     progress: &dyn Progress,
 ) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
-    let Source { dataset, scene } = source;
-    let (AnyDataset::Simulated(dataset), Some(scene)) = (dataset, scene) else {
-        return Err(SimulatorError::Imported(dataset.name().to_owned()).into());
+    let tested = source.tested();
+    let (AnyDataset::Simulated(dataset), Some(scene)) = (&tested, &source.scene) else {
+        return Err(SimulatorError::Imported(tested.name().to_owned()).into());
     };
     let is_sensed = |modality: &&Modality| {
         dataset.layout().stored_vectors().any(|definition| definition.name == **modality)

@@ -141,7 +141,8 @@ impl<'a> Commands<'a> {
 
     /// The names of all datasets that exist or that a run used.
     fn datasets(&self) -> BTreeSet<String> {
-        let used = self.recorded.iter().map(|(_, record)| record.dataset.clone());
+        let used = self.recorded.iter().flat_map(|(_, record)| record.datasets());
+        let used = used.map(|(name, _)| name.to_owned());
         let there = folders(&self.registry.datasets());
         let there = there.iter().filter_map(|folder| Some(folder.file_name()?.to_str()?.to_owned()));
         used.chain(there).collect()

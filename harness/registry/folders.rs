@@ -165,6 +165,7 @@ impl Registry {
             experiment: record.experiment.clone(),
             id: record.run.clone(),
             dataset: record.dataset.clone(),
+            test_dataset: record.test_dataset.clone(),
         }
     }
 }

@@ -127,6 +127,7 @@ pub struct RunFolder {
     experiment: String,
     id: String,
     dataset: String,
+    test_dataset: Option<String>,
 }
 
 impl Registry {
@@ -171,7 +172,13 @@ impl Registry {
     pub fn run(&self, experiment: &str, spec: &RunSpec, dataset: &str) -> RunFolder {
         let id = format!("{}-{}", spec.label(), identity(&spec.hash(), dataset, REVISION));
         let path = self.runs().join(experiment).join(&id);
-        RunFolder { path, experiment: experiment.to_owned(), id, dataset: dataset.to_owned() }
+        RunFolder {
+            path,
+            experiment: experiment.to_owned(),
+            id,
+            dataset: dataset.to_owned(),
+            test_dataset: None,
+        }
     }
 
     /// Checks that the folder contains runs or datasets. Commands that only read call this, because a mistyped path
@@ -265,6 +272,12 @@ fn identity(spec_hash: &str, dataset: &str, revision: u32) -> String {
 }
 
 impl RunFolder {
+    /// The same folder, of a run whose test has this dataset of its own. The run's id contains the hash of the test's
+    /// settings and of the world, which determine the dataset.
+    pub fn with_test(self, dataset: Option<&str>) -> Self {
+        Self { test_dataset: dataset.map(str::to_owned), ..self }
+    }
+
     /// The run's id, such as `empty-z4-seed0-5c94f6a8`.
     pub fn id(&self) -> &str {
         &self.id

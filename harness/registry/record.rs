@@ -196,6 +196,9 @@ pub struct RunRecord {
     pub spec_hash: String,
     /// Name of the dataset's folder.
     pub dataset: String,
+    /// Name of the folder of the dataset that only the test uses; `None` if the run has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub test_dataset: Option<String>,
     /// When the run was started, in UTC, such as `2026-01-31T12:00:00.123456Z`. Records of earlier versions have whole
     /// seconds.
     pub started: String,
@@ -290,6 +293,7 @@ impl RunRecord {
             published: false,
             spec_hash: spec.hash(),
             dataset: folder.dataset.clone(),
+            test_dataset: folder.test_dataset.clone(),
             started: Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.6fZ").to_string(),
             timings: None,
             peak_memory_bytes: None,
@@ -311,6 +315,23 @@ impl RunRecord {
     /// The name of what predicts, in the column `model`: that of a network, or of a model of another program.
     pub fn predictor(&self) -> &str {
         self.spec.trained().map_or(self.spec.model.name(), |_| models::NETWORK)
+    }
+
+    /// The name of the dataset that has the test episodes.
+    pub fn tested(&self) -> &str {
+        self.test_dataset.as_deref().unwrap_or(&self.dataset)
+    }
+
+    /// The datasets that the run used, each with the number of its episodes; 0 for an imported one.
+    pub fn datasets(&self) -> impl Iterator<Item = (&str, u32)> {
+        let tested = self.spec.test.as_ref().map_or(0, |test| test.episodes);
+        let test = self.test_dataset.as_deref().map(|name| (name, tested));
+        std::iter::once((&*self.dataset, self.episodes())).chain(test)
+    }
+
+    /// The number of episodes of this dataset that the run used; `None` if it did not use the dataset.
+    pub fn episodes_of(&self, dataset: &str) -> Option<u32> {
+        self.datasets().find(|(name, _)| *name == dataset).map(|(_, episodes)| episodes)
     }
 
     /// Number of episodes of a simulated dataset that the run used; 0 for an imported dataset.
@@ -549,6 +570,7 @@ pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
         column_of(records, "reason", |run| run.reason.as_deref()),
         column_of(records, "spec_hash", |run| run.spec_hash.as_str()),
         column_of(records, "dataset", |run| run.dataset.as_str()),
+        column_of(records, "test_dataset", |run| run.test_dataset.as_deref()),
         column_of(records, "dataset_seed", |run| run.spec.simulation.as_ref().map(|of| of.seed as i64)),
         column_of(records, "world_version", |run| run.provenance.world.as_ref().map(WorldVersion::id)),
         column_of(records, "reading", |run| run.spec.reading()),
@@ -583,8 +605,10 @@ pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
 pub fn episodes_used<'a>(records: impl Iterator<Item = &'a RunRecord>) -> BTreeMap<&'a str, u32> {
     let mut used = BTreeMap::new();
     for record in records.filter(|record| record.status == Status::Done && !record.published) {
-        let most = used.entry(record.dataset.as_str()).or_default();
-        *most = record.episodes().max(*most);
+        for (dataset, episodes) in record.datasets() {
+            let most = used.entry(dataset).or_default();
+            *most = episodes.max(*most);
+        }
     }
     used
 }

@@ -111,8 +111,12 @@ impl Verification<'_> {
             return report_imported(folder, inspection, report);
         }
         // The command of the run that needs the most episodes restores them for all runs.
-        let users = self.recorded.iter().map(|(_, record)| record).filter(|record| record.dataset == name);
-        let user = users.max_by_key(|record| (record.episodes(), record.spec.trained().is_some()));
+        let users = self
+            .recorded
+            .iter()
+            .map(|(_, record)| record)
+            .filter(|record| record.episodes_of(&name).is_some());
+        let user = users.max_by_key(|record| (record.episodes_of(&name), record.spec.trained().is_some()));
         let again = user.map_or(Again::Unknown, |record| self.commands.collect(record));
         let collect = again.command();
         if let Some((path, problem)) = inspection.damaged_model {
@@ -174,10 +178,11 @@ impl Verification<'_> {
     fn datasets_that_are_gone(&self, there: &[PathBuf], report: &mut Report) {
         let there: BTreeSet<_> = there.iter().filter_map(|folder| folder.file_name()?.to_str()).collect();
         let records = || self.recorded.iter().map(|(_, record)| record);
-        let is_gone =
-            |record: &&RunRecord| record.status == Status::Done && !there.contains(record.dataset.as_str());
+        let is_gone = |record: &&RunRecord| {
+            record.status == Status::Done && record.datasets().any(|(name, _)| !there.contains(name))
+        };
         for name in self.used.keys().filter(|name| !there.contains(*name)) {
-            let users = || records().filter(|record| record.dataset == *name && is_gone(record));
+            let users = || records().filter(|record| record.episodes_of(name).is_some() && is_gone(record));
             let path = self.registry.datasets().join(name);
             let spec = self.registry.dataset_spec(name);
             if spec.is_file() {

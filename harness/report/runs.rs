@@ -107,6 +107,7 @@ fn details(record: &RunRecord) -> Vec<(&'static str, String)> {
         ("run", Some(record.run.clone())),
         ("failed", record.reason.clone()),
         ("dataset", Some(record.dataset.clone())),
+        ("test dataset", record.test_dataset.clone()),
         ("commit", commit),
         ("started", Some(record.started.clone())),
         ("time", stages),

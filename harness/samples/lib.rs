@@ -45,6 +45,8 @@ pub struct Samples {
     recording: Recording,
     /// The range of each episode's samples, in the order of the episodes.
     episodes: Vec<Range<usize>>,
+    /// The number of episodes before those of a dataset of its own for the test; `None` without such a dataset.
+    before_test: Option<usize>,
     layout: Arc<Layout>,
     /// Values of each vector, `[sample, element]`, by the modality's position in the layout. Images have none.
     vectors: Vec<Vec<f32>>,
@@ -88,7 +90,7 @@ impl Samples {
         let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
         let images = images.map_err(|source| FramesError { folder: folder.to_owned(), source })?;
         let folder = folder.to_owned();
-        Ok(Self { recording, episodes: Vec::new(), layout, vectors, images, folder })
+        Ok(Self { recording, episodes: Vec::new(), before_test: None, layout, vectors, images, folder })
     }
 
     /// Appends an episode, with its frames if it has any.
@@ -113,6 +115,16 @@ impl Samples {
             }
         }
         Ok(())
+    }
+
+    /// Declares that all further episodes are those of a dataset of its own for the test.
+    pub fn begin_test(&mut self) {
+        self.before_test = Some(self.episodes.len());
+    }
+
+    /// Returns the range of each episode's samples, without the episodes of a dataset of its own for the test.
+    pub fn own_episodes(&self) -> &[Range<usize>] {
+        &self.episodes[..self.before_test.unwrap_or(self.episodes.len())]
     }
 
     /// Returns the properties that all samples share.
@@ -145,11 +157,13 @@ impl Samples {
         &self.episodes
     }
 
-    /// Returns the index of the episode that contains `sample`, and the sample's index in that episode.
+    /// Returns the index of the episode that contains `sample`, in its own dataset, and the sample's index in that
+    /// episode.
     pub fn place(&self, sample: Sample) -> (usize, usize) {
         let sample = sample.index();
         let episode = self.episodes.partition_point(|range| range.end <= sample);
-        (episode, sample - self.episodes[episode].start)
+        let first = self.before_test.filter(|first| *first <= episode).unwrap_or(0);
+        (episode - first, sample - self.episodes[episode].start)
     }
 
     /// Returns a vector modality of all samples in physical units, `[samples, width]`.

@@ -118,12 +118,14 @@ impl Samples {
         are_whole.then_some(partition)
     }
 
-    /// The last episodes are for the test, those before them for validation, and the rest for training.
+    /// The last episodes are for the test, those before them for validation, and the rest for training. If the test has
+    /// a dataset of its own, all episodes of that dataset are for the test.
     ///
     /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
     /// keeps the neighbors of a test sample out of the training data.
     fn partition_by_episode(&self, split: &Split, window: &Window) -> Option<Partition> {
-        let counts = split.counts(self.episodes().len())?;
+        let own = self.own_episodes().len();
+        let counts = split.counts(own, own < self.episodes().len())?;
         let all = |episodes: &[Range<usize>], window: Window| {
             episodes.iter().flat_map(|range| within(&window, range)).collect()
         };
@@ -155,7 +157,7 @@ impl Samples {
     /// Windows of different parts share samples.
     fn partition_by_sample(&self, split: &Split, window: &Window) -> Option<Partition> {
         let mut drawn = self.windows(window);
-        let counts = split.counts(drawn.len())?;
+        let counts = split.counts(drawn.len(), false)?;
         let identity = format!("harness split by sample: seed {}", self.recording().seed);
         drawn.shuffle(&mut ChaCha8Rng::from_seed(Sha256::digest(identity).into()));
         let mut take = |count: usize| {

@@ -23,7 +23,7 @@ impl FactorValues {
     pub(super) fn draw(scene: &Scene, spec: &Simulation, episode: u32) -> Self {
         let on = scene.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
         let draw = |(index, factor): (usize, &SceneFactor)| {
-            let mut rng = stream(&factor.name, spec.seed, scene.scenario(), episode);
+            let mut rng = stream(&factor.name, spec.stream(), scene.scenario(), episode);
             let values = factor.elements.iter().map(|_| draw_value(&factor.drawing, &mut rng)).collect();
             (index, values)
         };

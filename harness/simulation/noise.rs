@@ -25,7 +25,7 @@ impl Noise {
     /// Returns the noise with the standard deviations that an episode drew. Each factor has its own random stream.
     pub fn new(scene: &Scene, spec: &Simulation, factors: &FactorValues, episode: u32) -> Self {
         let source = |(name, deviations): (&str, _)| Source {
-            rng: stream(&format!("{name} noise"), spec.seed, scene.scenario(), episode),
+            rng: stream(&format!("{name} noise"), spec.stream(), scene.scenario(), episode),
             deviations,
         };
         Self { sources: factors.deviations(scene).map(source).collect() }

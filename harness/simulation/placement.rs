@@ -85,7 +85,7 @@ impl Draws<'_> {
     /// The sizes that the episode draws therefore have no influence on the places.
     fn make_room(&self, kept_free: &[Footprint], drawn: &mut [Drawn]) -> Result<(), SimulationError> {
         let largest = |geom| largest_size(self.scene, self.spec, geom);
-        let mut rng = room_stream(self.scene, self.spec.seed, self.episode);
+        let mut rng = room_stream(self.scene, self.spec.stream(), self.episode);
         let bodies: Vec<(&Placement, &FreeBody)> = bodies(self.scene).collect();
         for ((footprint, _), (_, body)) in drawn.iter_mut().zip(&bodies) {
             footprint.radius = body.radius(largest);

@@ -42,7 +42,7 @@ impl EpisodePlan {
         factors: FactorValues,
     ) -> Result<Self, SimulationError> {
         let timing = scene.timing(spec)?;
-        let mut rng = episode_stream(scene, spec.seed, index);
+        let mut rng = episode_stream(scene, spec.stream(), index);
         let ranges = scene.ranges(spec);
         let setpoints = match &scene.course {
             Some(course) => Setpoints::through(course.episode(index), ranges.len(), &timing),

@@ -208,9 +208,13 @@ impl Scene {
     ///
     /// # Errors
     /// When a range exceeds the limits of joints or actuators, a rate does not fit the model's time step, or a recorded
-    /// course does not have the samples of the episodes.
+    /// course does not have the samples of the episodes, or would be repeated by a test.
     pub fn check(&self, spec: &Simulation) -> Result<(), SimulationError> {
         let timing = self.timing(spec)?;
+        if spec.test && self.course.is_some() {
+            let problem = format!("{} follows a recorded course, so its test would repeat it", self.name);
+            return Err(SimulationError::Spec { field: "test".into(), problem });
+        }
         let check = |course: &Course| course.check(spec, timing.samples, &self.ranges(spec));
         self.course.as_ref().map_or(Ok(()), check)
     }

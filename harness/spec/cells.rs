@@ -72,14 +72,17 @@ impl Experiment {
         epochs[..epochs.len() - 1].iter().map(until).chain([run.clone()]).collect()
     }
 
-    /// Returns the world and the simulation settings of each dataset that the runs need, except imported datasets.
+    /// Returns the world and the simulation settings of each dataset that the runs need, also of those for the test,
+    /// except imported datasets.
     pub fn simulated(&self) -> Vec<(Arc<World>, Simulation)> {
         let mut found: Vec<(Origin, Simulation)> = Vec::new();
         for run in self.runs() {
-            if let Some(simulation) = run.simulation
-                && !found.contains(&(run.scenario.clone(), simulation.clone()))
-            {
-                found.push((run.scenario, simulation));
+            let test = run.test_simulation();
+            for simulation in run.simulation.into_iter().chain(test) {
+                let wanted = (run.scenario.clone(), simulation);
+                if !found.contains(&wanted) {
+                    found.push(wanted);
+                }
             }
         }
         let with_world =
@@ -184,6 +187,7 @@ impl Experiment {
             window: self.window.clone(),
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
+            test: self.test.clone(),
             scaling: self.scaling_of_used(scenario),
             model: Model::Trained(Box::new(Trained {
                 latent,

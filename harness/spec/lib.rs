@@ -490,6 +490,9 @@ impl Experiment {
         } else {
             self.split.gap_seconds = None;
         }
+        if self.test.is_some() {
+            self.split.test = Split::default().test;
+        }
         self.quick.clear();
         self
     }

@@ -3,7 +3,7 @@
 use super::origin::Origin;
 use super::simulation::Simulation;
 use super::stored::stored;
-use super::types::{Action, Network, Split, Task, Training, Window};
+use super::types::{Action, Network, Split, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -39,6 +39,8 @@ pub struct RunSpec {
     pub simulation: Option<Simulation>,
     /// Division of the dataset into training, validation and test set.
     pub split: Split,
+    /// The dataset on which the run is tested; `None` if it is a part of the run's own one.
+    pub test: Option<TestDataset>,
     /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
     /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     pub scaling: Scalings,
@@ -99,6 +101,8 @@ struct Fields {
     #[serde(skip_serializing_if = "Option::is_none")]
     simulation: Option<Simulation>,
     split: Split,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    test: Option<TestDataset>,
     #[serde(default)]
     scaling: Scalings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -145,6 +149,7 @@ impl From<RunSpec> for Fields {
             model,
             simulation: spec.simulation,
             split: spec.split,
+            test: spec.test,
             scaling: spec.scaling,
             training,
         }
@@ -173,6 +178,7 @@ impl TryFrom<Fields> for RunSpec {
             window: fields.window,
             simulation: fields.simulation,
             split: fields.split,
+            test: fields.test,
             scaling: fields.scaling,
             model,
         })
@@ -186,6 +192,12 @@ impl RunSpec {
             Model::Trained(trained) => Some(trained),
             Model::External(_) => None,
         }
+    }
+
+    /// Returns the settings of the simulation of the run's own test dataset; `None` if it has none.
+    pub fn test_simulation(&self) -> Option<Simulation> {
+        let TestDataset { episodes, seed } = *self.test.as_ref()?;
+        Some(Simulation { seed, episodes, test: true, ..self.simulation.clone()? })
     }
 
     /// Returns the size of the latent state; `None` for an external model.

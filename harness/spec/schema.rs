@@ -215,6 +215,7 @@ pub(super) fn varies(key: &str) -> bool {
         "network",
         "simulation",
         "split",
+        "test",
         "scaling",
         "training",
     ];

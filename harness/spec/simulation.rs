@@ -44,6 +44,10 @@ pub struct Simulation {
     /// with `harness.collect(SPEC, policy=...)` in Python.
     #[schemars(regex(pattern = POLICY))]
     pub policy: Option<String>,
+    /// Whether these are the episodes of a [`TestDataset`](super::TestDataset). A spec can't set it.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[schemars(skip)]
+    pub test: bool,
     /// Values of the settings that the world defines, by name: the range of each actuator's setpoints, and the
     /// clearance of placed bodies. The default is the world's value.
     #[serde(flatten)]
@@ -76,6 +80,12 @@ impl Simulation {
     /// Returns the settings as a dataset's description and its hash have them.
     pub fn stored(&self) -> Json {
         stored("simulation", json!(self), &json!(Self::default()))
+    }
+
+    /// Returns the seed of all random streams of the episodes. Those of test episodes are above [`MAX_SEED`], so they
+    /// are never the same as those of a dataset with any seed.
+    pub fn stream(&self) -> u64 {
+        if self.test { self.seed + MAX_SEED + 1 } else { self.seed }
     }
 
     /// Returns the range of a world's setting; `None` if there is no such setting, or if it is a number.

@@ -259,6 +259,11 @@ pub struct Experiment {
     /// How the dataset is divided into training, validation and test set.
     #[serde(default)]
     pub split: Split,
+    /// A dataset of its own for the test. All runs in a world are then tested on the same episodes, whatever they are
+    /// trained on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "test_dataset")]
+    pub test: Option<TestDataset>,
     /// How each modality is scaled for the network, and the lower bound of its predictions in physical units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(schema_with = "scalings_schema")]
@@ -398,6 +403,21 @@ pub struct Split {
     pub gap_seconds: Option<f64>,
 }
 
+/// The dataset on which runs are tested. Its episodes are simulated like those that a run is trained on, with the same
+/// settings except their number and seed, but from random streams of their own. Equal seeds therefore give other
+/// motions. The dataset of the run is divided into training and validation only, and `split.test` has no effect.
+#[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TestDataset {
+    /// Number of episodes.
+    #[schemars(range(min = 1, max = 1_000_000))]
+    #[default(200)]
+    pub episodes: u32,
+    /// Seed of the episodes.
+    #[schemars(range(min = 0, max = MAX_SEED))]
+    pub seed: u64,
+}
+
 /// How a network is trained.
 #[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -492,9 +512,15 @@ impl Split {
     /// after the gap therefore have only the positions of the pushed boxes in common.
     pub(crate) const GAP_SECONDS: f64 = 5.0;
 
-    /// Divides `all` episodes or transitions; `None` if none would be left for training.
-    pub fn counts(&self, all: usize) -> Option<SplitCounts> {
-        self.divide(all, 0, 1)
+    /// Divides `all` episodes or transitions; `None` if none would be left for training. None are for the test if it
+    /// has a dataset of its own.
+    pub fn counts(&self, all: usize, has_own_test: bool) -> Option<SplitCounts> {
+        if !has_own_test {
+            return self.divide(all, 0, 1);
+        }
+        let validation = ((all as f64 * self.validation).round() as usize).max(1);
+        let training = all.checked_sub(validation).filter(|left| *left > 0)?;
+        Some(SplitCounts { training, validation, test: 0 })
     }
 
     /// Splits an episode of `samples` samples by time into the ranges for training, validation and test. Each has at
@@ -596,6 +622,9 @@ impl Training {
 
 fn search(generator: &mut SchemaGenerator) -> Schema {
     generator.subschema_for::<Search>()
+}
+fn test_dataset(generator: &mut SchemaGenerator) -> Schema {
+    generator.subschema_for::<TestDataset>()
 }
 fn default_seeds() -> Vec<u64> {
     vec![0]

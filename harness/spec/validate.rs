@@ -626,6 +626,9 @@ fn memory(experiment: &Experiment) -> Result<(), Fault> {
 fn split(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { split, simulation, window, scenarios, .. } = experiment;
     let (by, validation, test) = (split.by, split.validation, split.test);
+    if experiment.test.is_some() {
+        return test_dataset(experiment);
+    }
     if split.gap_seconds.is_some() && by != Division::Time {
         return fault(
             "split.gap_seconds",
@@ -646,7 +649,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                  {episodes}; use more, or split.by: time, which divides each episode"
             ),
         ),
-        Division::Episode if split.counts(episodes).is_none() => fault(
+        Division::Episode if split.counts(episodes, false).is_none() => fault(
             "split",
             format!(
                 "validation {validation} and test {test} of {episodes} episodes leave none for training; \
@@ -664,7 +667,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                 ),
             )
         }
-        Division::Sample if split.counts(windows).is_none() => fault(
+        Division::Sample if split.counts(windows, false).is_none() => fault(
             "split",
             format!(
                 "validation {validation} and test {test} of {windows} windows leave none for training; use smaller \
@@ -673,6 +676,41 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
         ),
         _ => Ok(()),
     }
+}
+
+/// Refuses a dataset for the test that can't be simulated, or that leaves no episodes for training.
+fn test_dataset(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { split, simulation, scenarios, .. } = experiment;
+    if split.by != Division::Episode {
+        return fault(
+            "test",
+            format!(
+                "a split by {} takes the test from each episode of the run's own dataset; use split.by: episode, or \
+                 leave out 'test'",
+                split.by
+            ),
+        );
+    }
+    if let Some(imported) = scenarios.iter().find(|origin| experiment.world(origin).is_none()) {
+        return fault(
+            "test",
+            format!(
+                "'{imported}' is imported, so no episodes can be simulated for its test; leave out 'test'"
+            ),
+        );
+    }
+    let episodes = simulation.episodes as usize;
+    if split.counts(episodes, true).is_none() {
+        return fault(
+            "simulation.episodes",
+            format!(
+                "validation {} of {episodes} episodes leaves none for training; use a smaller share or more episodes, \
+                 at least 2",
+                split.validation
+            ),
+        );
+    }
+    Ok(())
 }
 
 /// Refuses a search whose trials can't be drawn or compared.

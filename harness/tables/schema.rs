@@ -187,6 +187,7 @@ fn run_details() -> Vec<Column> {
             "hash of everything that determines the run except its seed; runs with the same hash form a group",
         ),
         text("dataset", "the dataset's folder"),
+        text("test_dataset", "the folder of the dataset that only the test uses; null if the run has none"),
         integer("dataset_seed", "seed of the dataset; null if it was imported"),
         text("world_version", "version of the simulated world; null if it was imported, or is not known"),
         text("reading", "the reading of the paper; null if the experiment has none"),

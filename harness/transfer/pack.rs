@@ -360,8 +360,10 @@ fn dataset_files(
 fn episodes_of<'a>(runs: &[&'a Recorded]) -> BTreeMap<&'a str, u32> {
     let mut used = BTreeMap::new();
     for (_, record) in runs {
-        let most = used.entry(record.dataset.as_str()).or_default();
-        *most = record.episodes().max(*most);
+        for (dataset, episodes) in record.datasets() {
+            let most = used.entry(dataset).or_default();
+            *most = episodes.max(*most);
+        }
     }
     used
 }
@@ -543,19 +545,24 @@ fn move_in(registry: &Registry, new: &New, staging: &Staging) -> Result<(), Pack
 
 /// Returns a run for each dataset that runs of a pack used and that is missing.
 fn lacking(registry: &Registry, manifest: &Manifest) -> Vec<RunRecord> {
-    let mut users = BTreeMap::<String, RunRecord>::new();
+    let mut users = BTreeMap::<String, (u32, RunRecord)>::new();
     for folder in manifest.folders().into_keys().filter(|folder| is_run(folder)) {
         let Ok(Some(record)) = registry.read_run(&registry.root().join(folder)) else { continue };
-        if users.get(&record.dataset).is_none_or(|other| other.episodes() < record.episodes()) {
-            users.insert(record.dataset.clone(), record);
+        for (dataset, episodes) in record.datasets() {
+            if users.get(dataset).is_none_or(|(other, _)| *other < episodes) {
+                users.insert(dataset.to_owned(), (episodes, record.clone()));
+            }
         }
     }
-    users.into_values().filter(|record| !record.published && lacks_dataset_of(registry, record)).collect()
+    users.retain(|dataset, (episodes, record)| {
+        !record.published && lacks_episodes(registry, dataset, *episodes)
+    });
+    users.into_values().map(|(_, record)| record).collect()
 }
 
-fn lacks_dataset_of(registry: &Registry, record: &RunRecord) -> bool {
-    let found = inspect(&registry.datasets().join(&record.dataset), &|| ());
-    let episodes = if found.imported { found.promised } else { record.episodes() };
+fn lacks_episodes(registry: &Registry, dataset: &str, used: u32) -> bool {
+    let found = inspect(&registry.datasets().join(dataset), &|| ());
+    let episodes = if found.imported { found.promised } else { used };
     found.undescribed.is_some() || (0..episodes).any(|index| !found.whole.contains_key(&index))
 }
 

@@ -122,7 +122,7 @@ pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removab
         let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
         match reasons.into_iter().find(applies).filter(is_free) {
             Some((reason, _)) => found.push((reason, Removable::new(folder, record.name()))),
-            None => drop(used.insert(record.dataset.clone())),
+            None => used.extend(record.datasets().map(|(name, _)| name.to_owned())),
         }
     }
     if wanted.contains(&Garbage::Unused) {

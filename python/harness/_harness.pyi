@@ -546,7 +546,7 @@ class SimulationBatch:
         """Number of simulations."""
     @property
     def seed(self) -> int:
-        """Seed of the dataset in the spec."""
+        """Seed of the episodes' random streams. It is that of the dataset or, for the episodes of a test, a larger one."""
     @property
     def sample_seconds(self) -> float:
         """Time from one sample to the next, s."""

@@ -126,6 +126,7 @@ class PredictionTask(_harness.Task):
         name: name of the task within the experiment, such as `empty`.
         hash: a hash of dataset, split, inputs, outputs and window.
         dataset: name of the dataset.
+        test_dataset: name of the dataset of the test windows: the same one, unless the test has its own.
         scenario: name of the world, or of the imported dataset.
         input: names of the inputs.
         output: names of the outputs.
@@ -148,6 +149,7 @@ class PredictionTask(_harness.Task):
     name: str
     hash: str
     dataset: str
+    test_dataset: str
     scenario: str
     input: list[str]
     output: list[str]
@@ -162,8 +164,8 @@ class PredictionTask(_harness.Task):
 
     def __init__(self, *arguments: Any) -> None:
         about = json.loads(self.description())
-        keys = ("experiment", "name", "hash", "dataset", "scenario", "input", "output", "context", "horizon", "start")
-        for key in keys:
+        keys = ("experiment", "name", "hash", "dataset", "test_dataset", "scenario", "input", "output", "context")
+        for key in (*keys, "horizon", "start"):
             setattr(self, key, about[key])
         self.horizons, self.action = tuple(about["horizons"]), about["action"]
         modalities = about["modalities"]

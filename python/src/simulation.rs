@@ -284,10 +284,10 @@ impl SimulationBatch {
         self.count
     }
 
-    /// Seed of the dataset in the spec.
+    /// Seed of the episodes' random streams. It is that of the dataset or, for the episodes of a test, a larger one.
     #[getter]
     fn seed(&self) -> u64 {
-        self.spec.seed
+        self.spec.stream()
     }
 
     /// Time from one sample to the next, s.

@@ -97,6 +97,7 @@ impl Task {
             "name": self.name,
             "hash": task.hash(),
             "dataset": task.dataset().name(),
+            "test_dataset": task.tested().name(),
             "scenario": spec.scenario.name(),
             "input": names(&spec.input),
             "output": names(&spec.output),

@@ -1,0 +1,82 @@
+//! Runs whose test has a dataset of its own: every command knows both datasets.
+
+use crate::common::{SMOKE, ask, finish, fresh, harness, succeed};
+use harness::dataset::AnyDataset;
+use harness::experiment::rollout;
+use harness::registry::{Registry, RunRecord};
+use harness::spec::Modality;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+const SPEC: [&str; 5] =
+    [SMOKE, "scenarios=[empty]", "test.episodes=2", "vary={simulation.seed: [0, 1]}", "tasks=[prediction]"];
+
+fn with<'a>(command: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&[command], &SPEC[..], more].concat()
+}
+
+fn records(results: &Path) -> Vec<RunRecord> {
+    Registry::new(results).recorded().into_iter().map(|(_, record)| record).collect()
+}
+
+#[test]
+fn runs_on_several_datasets_share_one_test() {
+    let results = fresh("own-test");
+    let planned = succeed(&results, &with("run", &["--dry-run"]));
+    assert!(planned.contains("for test, 0 of 2 episodes made"), "{planned}");
+    assert_eq!(planned.matches("for training and validation, 0 of 4 episodes made").count(), 2, "{planned}");
+    succeed(&results, &with("collect", &["--shard", "1/2"]));
+    let said = succeed(&results, &with("run", &[]));
+    assert!(said.contains("2 done, 0 done before, 0 failed"), "{said}");
+    assert!(succeed(&results, &with("run", &[])).contains("0 done, 2 done before, 0 failed"));
+
+    let records = records(&results);
+    let tests: BTreeSet<&str> = records.iter().map(|record| record.tested()).collect();
+    let all: BTreeSet<&str> =
+        records.iter().flat_map(|record| record.datasets()).map(|(name, _)| name).collect();
+    assert_eq!((records.len(), tests.len(), all.len()), (2, 1, 3));
+    let test = *tests.first().unwrap();
+    let rows = ask(&results, "select distinct run, episode from predictions order by run, episode");
+    let episodes: Vec<u64> = rows.iter().map(|row| row["episode"].as_u64().unwrap()).collect();
+    assert_eq!(episodes, [0, 1, 0, 1]);
+    // The predicted values are those of the test's dataset.
+    let joined = format!(
+        "select count(*) as n, sum(case when p.reference = e.contact_force_19 then 1 else 0 end) as same \
+         from predictions p join runs r on p.run = r.run \
+         join episodes e on e.dataset = r.test_dataset and e.episode = p.episode and e.sample = p.sample \
+         where p.modality = 'contact_force' and p.\"index\" = 19"
+    );
+    let row = &ask(&results, &joined)[0];
+    assert!(row["n"].as_u64().unwrap() > 0);
+    assert_eq!(row["n"], row["same"]);
+
+    // What does not depend on the training is the same for both runs.
+    let of_persistence = "select modality, direction, \"index\", min(value) as low, max(value) as high from metrics \
+                          where model = 'persistence' and metric = 'rmse' group by modality, direction, \"index\"";
+    let rows = ask(&results, of_persistence);
+    assert!(!rows.is_empty() && rows.iter().all(|row| row["low"] == row["high"]), "{rows:?}");
+
+    assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
+    succeed(&results, &["verify"]);
+    let pack = results.join("all.harness");
+    succeed(&results, &["pack", "smoke", "--datasets", "--output", pack.to_str().unwrap()]);
+    let other = fresh("own-test-unpacked");
+    succeed(&other, &["unpack", pack.to_str().unwrap()]);
+    assert!(other.join("datasets").join(test).join("episode_00001.parquet").is_file());
+    let rollout = rollout(&Registry::new(&results), &records[0].run, None, 1).unwrap();
+    let dataset = AnyDataset::at(&results.join("datasets").join(test)).unwrap();
+    let first = dataset.load_episode(0).unwrap();
+    assert_eq!(rollout.episode, 0);
+    assert_eq!(rollout.samples.vectors(Modality::SETPOINT), first.vectors(Modality::SETPOINT));
+
+    let (output, model) = ("output=[proprioception,contact_force]", ["--model", "mujoco"]);
+    let judge = [&["judge", SMOKE, "simulator", output][..], &SPEC[1..3], &model].concat();
+    let said = succeed(&results, &judge);
+    assert!(said.contains("mujoco"), "{said}");
+
+    std::fs::remove_file(results.join("datasets").join(test).join("episode_00001.parquet")).unwrap();
+    let answer = finish(&mut harness(&results, &["verify"]));
+    assert!(answer.code != 0 && answer.stdout.contains(test), "{}", answer.stdout);
+    succeed(&results, &with("collect", &[]));
+    succeed(&results, &["verify"]);
+}
