@@ -650,7 +650,7 @@ fn a_motion_changes_the_episodes_and_the_dataset_alone() {
         let path = folder.path().join("own.yaml");
         fs::write(&path, text.replacen("  seconds: 1\n", &format!("  seconds: 1\n{motion}"), 1)).unwrap();
         let world = World::load(&path).unwrap();
-        let (identity, simulation) = (world.identity().unwrap().to_string(), world.simulation());
+        let (identity, simulation) = (world.identity().to_string(), world.simulation());
         let states =
             replay(&Scene::new(world).unwrap(), &Simulation { actuations_per_episode: 2, ..simulation }, 0);
         (identity, states.unwrap())

@@ -74,9 +74,7 @@ impl Dataset {
         if let Some(course) = model.course_sha256 {
             description["course_sha256"] = json!(course);
         }
-        if let Some(world) = world.identity() {
-            description["world"] = world;
-        }
+        description["world"] = world.identity();
         let (name, layout) = (identify(scenario, &description), model.layout.clone());
         description["layout"] = json!(*layout);
         Self { folder: root.join(&name), name, scenario, spec, layout, description }

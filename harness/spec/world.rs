@@ -850,12 +850,8 @@ impl World {
 
     /// Returns the parts of the world file that define the content of its datasets, besides the model and the settings.
     ///
-    /// It is `None` for the two worlds that existed before world files, so that their datasets keep their names.
     /// Factors are left out: the settings describe those that a spec turns on, and the others change nothing.
-    pub fn identity(&self) -> Option<Json> {
-        if self.folder.is_none() && Scenario::PAPER.contains(&self.scenario) {
-            return None;
-        }
+    pub fn identity(&self) -> Json {
         let file = WorldFile { description: String::new(), factors: Ordered::default(), ..self.file.clone() };
         let mut identity = serde_json::to_value(&file).expect("a world file is plain data");
         // Keys are sorted before they are hashed, but the samples depend on the order of these.
@@ -875,7 +871,7 @@ impl World {
                 "regions": file.regions.names(),
             });
         }
-        Some(identity)
+        identity
     }
 
     /// Returns the names and definitions of the factors of variation that a spec turns on, in the file's order.
