@@ -591,7 +591,8 @@ impl TrainingRun<'_> {
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         let Prediction { network, window, input, output, .. } = objective;
-        let trained = TrainedNetwork { data, network: network.detached(), input, output, window };
+        let (own, draws) = (network.detached(), self.trained.network.draws);
+        let trained = TrainedNetwork { data, network: own, input, output, window, draws, seed: spec.seed };
         self.judge(task, &trained, outcome)?;
         let begin = Instant::now();
         let test = &self.prepared.open.partition.test;

@@ -148,7 +148,7 @@ pub fn rollout(
         return Err(RolloutError::TooShort { episode, samples: data.samples.len(), window });
     }
     let (network, input, output) = (network.detached(), &spec.input[..], &spec.output[..]);
-    let trained = TrainedNetwork { data: &data, network, input, output, window: &window };
+    let trained = TrainedNetwork { data: &data, network, input, output, window: &window, draws: 0, seed: 0 };
     let mut predicted: BTreeMap<Modality, Vec<f32>> = BTreeMap::new();
     for at in present.chunks(BATCH) {
         trained.predict(at, &mut |found| {

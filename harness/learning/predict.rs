@@ -3,12 +3,14 @@
 use super::LearningError;
 use super::data::NormalizedData;
 use super::network::{Decoded, Decoder, Draw, Network, State, context};
+use super::random::{Random, Stream};
 use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
+use harness_metrics::{Ensemble, Members};
 use harness_ops::{Values, input};
 use harness_samples::{Normalizer, Normalizers, Sample, Samples, after, physical};
 use harness_spec::{Modality, Window, WindowStart};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Consecutive samples that a network sees one after the other, from a start without knowledge.
 struct Track {
@@ -42,6 +44,11 @@ impl Tracks {
             places.push((tracks.len() - 1, distance));
         }
         Self { tracks, places }
+    }
+
+    /// Returns the number of samples of the longest track.
+    fn longest(&self) -> usize {
+        self.tracks.iter().map(|track| track.samples).max().unwrap_or_default()
     }
 
     /// Returns the sample of each track at a distance from its first one. A shorter track stays at its last one.
@@ -78,40 +85,72 @@ fn present(
     window: &Window,
     at: &[Sample],
 ) -> Result<(State, Option<Tensor>)> {
-    let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
-    let longest = tracks.tracks.iter().map(|track| track.samples).max().unwrap_or_default();
-    let all: BTreeSet<Sample> = (0..longest).flat_map(|distance| tracks.at(distance)).collect();
-    let all: Vec<Sample> = all.into_iter().collect();
-    let encoded = all.chunks(BATCH).map(|at| {
-        let observation = data.observation(at, input)?;
-        network.encode(&observation, &mut Draw::Mean)
-    });
-    let encoded = Tensor::cat(&encoded.collect::<Result<Vec<_>>>()?, 0)?;
-    let mut state = network.start(tracks.tracks.len(), &data.device)?;
-    let (mut states, mut divergences, mut order) = (Vec::new(), Vec::new(), Vec::new());
-    for distance in 0..longest {
-        let now = tracks.at(distance);
-        let rows: Vec<u32> =
-            now.iter().filter_map(|sample| all.binary_search(sample).ok()).map(|row| row as u32).collect();
-        let encoded = encoded.index_select(&Tensor::new(rows, encoded.device())?, 0)?;
-        let seen = network.observe(state.as_ref(), &encoded, &mut Draw::Mean)?;
-        let (indices, rows): (Vec<usize>, Vec<u32>) = tracks.wanted(distance).unzip();
-        if !rows.is_empty() {
-            states.push(seen.state.rows(&rows)?);
-            if let Some(all) = &seen.divergences {
-                divergences.push(all.index_select(&Tensor::new(rows, all.device())?, 0)?);
-            }
-            order.extend(indices);
-        }
-        if distance + 1 < longest {
-            state = Some(network.act(&seen.state, &data.actions(&tracks.acting(distance))?)?);
-        }
+    Encoded::new(network, data, input, window, at)?.present(&|_| Ok(Draw::Mean))
+}
+
+/// The encoded samples of windows, from which the latent states follow.
+struct Encoded<'a> {
+    network: &'a dyn Network,
+    data: &'a NormalizedData,
+    tracks: Tracks,
+    /// The samples of all tracks, in ascending order, and their encodings, `[samples, width]`.
+    samples: Vec<Sample>,
+    encoded: Tensor,
+}
+
+impl<'a> Encoded<'a> {
+    /// Encodes the windows until the present samples `at`, which are in ascending order.
+    fn new(
+        network: &'a dyn Network,
+        data: &'a NormalizedData,
+        input: &[Modality],
+        window: &Window,
+        at: &[Sample],
+    ) -> Result<Self> {
+        let tracks = Tracks::new(&data.samples, context(network, window), window.start, at);
+        let all = (0..tracks.longest()).flat_map(|distance| tracks.at(distance));
+        let samples: Vec<Sample> = all.collect::<BTreeSet<Sample>>().into_iter().collect();
+        let encoded = samples.chunks(BATCH).map(|at| {
+            let observation = data.observation(at, input)?;
+            network.encode(&observation, &mut Draw::Mean)
+        });
+        let encoded = Tensor::cat(&encoded.collect::<Result<Vec<_>>>()?, 0)?;
+        Ok(Self { network, data, tracks, samples, encoded })
     }
-    let mut rows = vec![0; order.len()];
-    order.into_iter().enumerate().for_each(|(row, index)| rows[index] = row as u32);
-    let in_order = |all: Tensor| all.index_select(&Tensor::new(&*rows, all.device())?, 0);
-    let divergences = (!divergences.is_empty()).then(|| Tensor::cat(&divergences, 0).and_then(in_order));
-    Ok((State::joined(&states)?.rows(&rows)?, divergences.transpose()?))
+
+    /// Returns what [`present`] does. `draw` says how the latent states of samples are drawn.
+    fn present(&self, draw: &dyn Fn(&[Sample]) -> Result<Draw<'static>>) -> Result<(State, Option<Tensor>)> {
+        let Self { network, data, tracks, samples: all, encoded } = self;
+        let longest = tracks.longest();
+        let mut state = network.start(tracks.tracks.len(), &data.device)?;
+        let (mut states, mut divergences, mut order) = (Vec::new(), Vec::new(), Vec::new());
+        for distance in 0..longest {
+            let now = tracks.at(distance);
+            let rows: Vec<u32> = now
+                .iter()
+                .filter_map(|sample| all.binary_search(sample).ok())
+                .map(|row| row as u32)
+                .collect();
+            let encoded = encoded.index_select(&Tensor::new(rows, encoded.device())?, 0)?;
+            let seen = network.observe(state.as_ref(), &encoded, &mut draw(&now)?)?;
+            let (indices, rows): (Vec<usize>, Vec<u32>) = tracks.wanted(distance).unzip();
+            if !rows.is_empty() {
+                states.push(seen.state.rows(&rows)?);
+                if let Some(all) = &seen.divergences {
+                    divergences.push(all.index_select(&Tensor::new(rows, all.device())?, 0)?);
+                }
+                order.extend(indices);
+            }
+            if distance + 1 < longest {
+                state = Some(network.act(&seen.state, &data.actions(&tracks.acting(distance))?)?);
+            }
+        }
+        let mut rows = vec![0; order.len()];
+        order.into_iter().enumerate().for_each(|(row, index)| rows[index] = row as u32);
+        let in_order = |all: Tensor| all.index_select(&Tensor::new(&*rows, all.device())?, 0);
+        let divergences = (!divergences.is_empty()).then(|| Tensor::cat(&divergences, 0).and_then(in_order));
+        Ok((State::joined(&states)?.rows(&rows)?, divergences.transpose()?))
+    }
 }
 
 /// The latent states of a network at all samples. At the first ones of an episode, the context is as long as it can be.
@@ -179,9 +218,80 @@ pub struct TrainedNetwork<'a> {
     pub output: &'a [Modality],
     /// How many samples it sees and predicts.
     pub window: &'a Window,
+    /// Number of latent states that are drawn for each window. The distribution of the vectors is what the decoder
+    /// says for each. 0 for a prediction from the mean of the latent state alone.
+    pub draws: usize,
+    /// Seed of these latent states.
+    pub seed: u64,
 }
 
 impl TrainedNetwork<'_> {
+    /// Predicts the vectors from each drawn latent state of windows. Returns the values by modality and horizon,
+    /// `[at, width, draws]`. They depend on no other window.
+    fn drawn(
+        &self,
+        encoded: &Encoded,
+        at: &[Sample],
+        latent: usize,
+    ) -> std::result::Result<Drawn, JudgeError> {
+        let layout = self.data.samples.layout();
+        let vectors: Vec<Modality> =
+            self.output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
+        let mut members = Drawn::new();
+        for draw in 0..self.draws {
+            let noise = |now: &[Sample]| {
+                let of_sample = |sample: &Sample| {
+                    let mut random = Random::new(self.seed, Stream::Draws(sample.index()));
+                    random.normal((draw + 1) * latent).split_off(draw * latent)
+                };
+                let noise = now.iter().flat_map(of_sample).collect();
+                input(Values::F32(noise), (now.len(), latent), &self.data.device).map(Draw::Noise)
+            };
+            let (state, _) = encoded.present(&noise).map_err(failed)?;
+            self.each_horizon(state, at, &mut |horizon, decoded| {
+                for (modality, values) in self.values(&vectors, &decoded, at).map_err(failed)? {
+                    let all = members.entry((modality, horizon));
+                    let all = all.or_insert_with(|| vec![0.0; values.len() * self.draws]);
+                    let places = all.iter_mut().skip(draw).step_by(self.draws);
+                    places.zip(values).for_each(|(place, value)| *place = value);
+                }
+                Ok(())
+            })?;
+        }
+        Ok(members)
+    }
+
+    /// Returns what is predicted of each modality in `output`, in physical units. Changes are added to the values at the
+    /// present samples `at`.
+    fn values(
+        &self,
+        output: &[Modality],
+        decoded: &Decoded,
+        at: &[Sample],
+    ) -> Result<Vec<(Modality, Vec<f32>)>> {
+        let NormalizedData { samples, normalizers, .. } = self.data;
+        predicted(normalizers, output, decoded, |modality| physical(samples, modality, at))
+    }
+
+    /// Passes on what the network predicts at each judged horizon from the state at the present samples `at`.
+    fn each_horizon(
+        &self,
+        mut state: State,
+        at: &[Sample],
+        receive: &mut dyn FnMut(usize, Decoded) -> std::result::Result<(), JudgeError>,
+    ) -> std::result::Result<(), JudgeError> {
+        let horizons = self.window.horizons();
+        for horizon in 1..=self.window.horizon {
+            let now = after(at, horizon - 1);
+            let next = || self.network.act(&state, &self.data.actions(&now)?);
+            state = next().map_err(failed)?;
+            if horizons.contains(&horizon) {
+                receive(horizon, self.network.decode(&state).map_err(failed)?)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the divergence of each dimension of the latent state from what was expected before the present sample,
     /// averaged over the windows at these present samples, `[latent]`, in nats. It was expected to be standard normal,
     /// or as the prior says if the network has one.
@@ -210,22 +320,13 @@ impl Predictor for TrainedNetwork<'_> {
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let Self { data, network, input, window, .. } = self;
-        let (mut state, _) = present(&**network, data, input, window, at).map_err(failed)?;
-        let horizons = window.horizons();
-        for horizon in 1..=window.horizon {
-            let now = after(at, horizon - 1);
-            let next = || network.act(&state, &data.actions(&now)?);
-            state = next().map_err(failed)?;
-            if !horizons.contains(&horizon) {
-                continue;
-            }
-            let decoded = network.decode(&state).map_err(failed)?;
-            let values = predicted(&data.normalizers, self.output, &decoded, |modality| {
-                physical(&data.samples, modality, at)
-            });
-            pass_on(values, horizon, receive)?;
-        }
-        Ok(())
+        let encoded = Encoded::new(&**network, data, input, window, at).map_err(failed)?;
+        let (state, _) = encoded.present(&|_| Ok(Draw::Mean)).map_err(failed)?;
+        let latent = state.latent.dim(1).map_err(failed)?;
+        let mut drawn = self.drawn(&encoded, at, latent)?;
+        self.each_horizon(state, at, &mut |horizon, decoded| {
+            pass_on(self.values(self.output, &decoded, at), horizon, (&mut drawn, self.draws), receive)
+        })
     }
 }
 
@@ -249,18 +350,26 @@ impl Predictor for TrainedDecoder<'_> {
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let decoded = self.latents.rows(at).and_then(|latent| self.decoder.decode(&latent, None));
         let values = decoded.and_then(|decoded| denormalized(&self.data.normalizers, self.output, &decoded));
-        pass_on(values, 0, receive)
+        pass_on(values, 0, (&mut Drawn::new(), 0), receive)
     }
 }
 
-/// Passes the values of each modality to `receive`.
+/// Values that follow from drawn latent states, by modality and horizon, `[windows, width, draws]`.
+type Drawn = BTreeMap<(Modality, usize), Vec<f32>>;
+
+/// Passes the values of each modality to `receive`, with their distribution if it was drawn.
 fn pass_on(
     values: Result<Vec<(Modality, Vec<f32>)>>,
     horizon: usize,
+    (drawn, draws): (&mut Drawn, usize),
     receive: &mut Receive,
 ) -> std::result::Result<(), JudgeError> {
-    let values = values.map_err(failed)?;
-    values.into_iter().try_for_each(|(modality, values)| receive(&Predicted { modality, horizon, values, ensemble: None }))
+    values.map_err(failed)?.into_iter().try_for_each(|(modality, values)| {
+        let members = drawn.remove(&(modality, horizon));
+        let ensemble = members.map(|members| Ensemble::new(Members::Draws, draws, members)).transpose()?;
+        let values = ensemble.as_ref().map_or(values, Ensemble::means);
+        receive(&Predicted { modality, horizon, values, ensemble })
+    })
 }
 
 /// Returns what a network predicts of each modality in `output` in physical units, `[batch, width]`; images channel by

@@ -18,6 +18,8 @@ pub enum Stream {
         /// The epoch, counted from 0.
         index: usize,
     },
+    /// Latent states that are drawn for the present sample with this index in its dataset.
+    Draws(usize),
 }
 
 /// A generator for one purpose of a run. Its numbers depend only on the seed and the stream.
@@ -28,15 +30,15 @@ impl Random {
     /// Creates the generator of `stream` for a run with this `seed`.
     pub fn new(seed: u64, stream: Stream) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        let (task, number) = match stream {
-            Stream::Parameters(task) => (task, 0),
-            Stream::Epoch { task, index } => (task, 1 + index as u64),
-        };
-        let block = match task {
+        let block = |task: Task| match task {
             Task::Prediction => 0,
             Task::Reconstruction => 1 << 32,
         };
-        generator.set_stream(block + number);
+        generator.set_stream(match stream {
+            Stream::Parameters(task) => block(task),
+            Stream::Epoch { task, index } => block(task) + 1 + index as u64,
+            Stream::Draws(sample) => (1 << 33) + sample as u64,
+        });
         Self(generator)
     }
 

@@ -370,6 +370,10 @@ pub struct Network {
     #[schemars(range(min = 2, max = 1000))]
     #[default(5)]
     pub memory_samples: usize,
+    /// Number of latent states that the test draws for each window. What the network predicts from each is its
+    /// predictive distribution, and the mean is its prediction. 0 means a prediction from the mean of the latent state.
+    #[schemars(range(max = 10_000))]
+    pub draws: usize,
 }
 
 impl Network {

@@ -115,6 +115,8 @@ fn an_added_network_with_a_state_is_trained_and_judged() {
         input: arm,
         output: arm,
         window: &WINDOW,
+        draws: 0,
+        seed: 0,
     };
     let judged_of = |predictor: &dyn Predictor| judged(&bench, predictor, &WINDOW);
     let (network, zero) = (judged_of(&trained), judged_of(&*baseline));
@@ -131,6 +133,41 @@ fn an_added_network_with_a_state_is_trained_and_judged() {
     // Every sample has a latent state, but only those of the dataset.
     let latents = Latents::of(&*added.network, &bench.data, arm, &WINDOW).unwrap();
     assert!(latents.rows(&[Sample::at(1)]).is_ok() && latents.rows(&[Sample::at(48)]).is_err());
+}
+
+#[test]
+fn drawn_latent_states_give_a_distribution_that_depends_on_no_other_window() {
+    let bench = Bench::new();
+    let (data, window) = (&bench.data, &Window::TRANSITION);
+    let output = &OUTPUT[..2];
+    let network = bench.architecture().network(&mut Parameters::new(), &mut random(3), &Device::Cpu).unwrap();
+    let predicted = |draws: usize, seed: u64, at: &[Sample]| {
+        let network = network.detached();
+        let trained = TrainedNetwork { data, network, input: &INPUT, output, window, draws, seed };
+        let mut found = Vec::new();
+        let mut keep = |predicted: &harness_judge::Predicted| {
+            let width = predicted.values.len() / at.len();
+            let last = (at.len() - 1) * width;
+            let members = predicted.ensemble.as_ref().map(|all| {
+                [0.1, 0.5, 0.9]
+                    .map(|share| (0..width).map(|value| all.at(last + value).quantile(share)).collect())
+            });
+            found.push((predicted.values[last..].to_vec(), members));
+            Ok(())
+        };
+        trained.predict(at, &mut keep).unwrap();
+        found
+    };
+    let together = [Sample::at(1), Sample::at(2), Sample::at(14)];
+    let drawn: Vec<(Vec<f32>, Option<[Vec<f64>; 3]>)> = predicted(50, 0, &together);
+    assert_eq!(drawn, predicted(50, 0, &together[2..]), "of one window alone");
+    assert_ne!(drawn, predicted(50, 1, &together), "of another seed");
+    for (_, members) in &drawn {
+        let [low, median, high] = members.as_ref().expect("there are members");
+        assert!(low.iter().zip(median).zip(high).all(|((low, median), high)| low <= median && median <= high));
+        assert!(low.iter().zip(high).any(|(low, high)| low < high), "the draws differ");
+    }
+    assert!(predicted(0, 0, &together).iter().all(|(_, members)| members.is_none()), "without draws");
 }
 
 #[test]
@@ -164,6 +201,8 @@ fn a_rollout_of_some_steps_equals_single_steps() {
                 input: both,
                 output: both,
                 window: &window,
+                draws: 0,
+                seed: 0,
             };
             let mut found = Vec::new();
             let mut keep = |predicted: &harness_judge::Predicted| {
@@ -236,7 +275,15 @@ fn recorded_predictions_get_the_metrics_of_their_network() {
     own.iter().for_each(|(name, var)| var.set(&parameters[name]).unwrap());
     let output = &OUTPUT[..2];
     let (data, window) = (&bench.data, &Window::TRANSITION);
-    let trained = TrainedNetwork { data, network: network.detached(), input: &INPUT, output, window };
+    let trained = TrainedNetwork {
+        data,
+        network: network.detached(),
+        input: &INPUT,
+        output,
+        window,
+        draws: 0,
+        seed: 0,
+    };
     let expected = judged(&bench, &trained, window);
     let value = |row: &PredictionRow| RecordedValue {
         modality: row.modality,

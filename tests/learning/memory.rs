@@ -597,6 +597,8 @@ fn assert_states(memory: Memory) {
             input: &ANGLES,
             output: &ARM,
             window: &window,
+            draws: 0,
+            seed: 0,
         };
         let predicted = |at: &[Sample]| {
             let mut found = Vec::new();
@@ -659,7 +661,8 @@ fn r2_of_arm(memory: Memory) -> [[f64; 2]; 2] {
     fit.run(&objective, &parameters).unwrap();
     let (data, samples) = (&bench.data, &*bench.data.samples);
     let network = objective.network.detached();
-    let trained = TrainedNetwork { data, network, input: &ANGLES, output: &ARM, window: &window };
+    let trained =
+        TrainedNetwork { data, network, input: &ANGLES, output: &ARM, window: &window, draws: 0, seed: 0 };
     let horizons = window.horizons();
     let persistence = Persistence { samples, modality: Modality::ARM, horizons: &horizons };
     let models: [&dyn Predictor; 2] = [&trained, &persistence];

@@ -294,6 +294,8 @@ pub enum Draw<'a> {
     },
     /// The posterior's mean, for validation and test.
     Mean,
+    /// From the posterior, with this standard normal noise, `[batch, latent]`, for a predictive distribution.
+    Noise(Tensor),
 }
 
 impl Draw<'_> {
@@ -312,7 +314,7 @@ impl Draw<'_> {
             let rows = stride.min(batch - first);
             let row = match self {
                 Self::Sample { random, .. } => random.up_to(rows - 1),
-                Self::Mean => rows / 2,
+                Self::Mean | Self::Noise(_) => rows / 2,
             };
             (first + row) as u32
         };
@@ -335,8 +337,13 @@ impl Draw<'_> {
     /// # Errors
     /// When the noise can't be copied to the device.
     pub fn noise(&mut self, batch: usize, latent: usize, device: &Device) -> Result<Option<Tensor>> {
-        let Self::Sample { random, .. } = self else { return Ok(None) };
-        ops::input(Values::F32(random.normal(batch * latent)), (batch, latent), device).map(Some)
+        match self {
+            Self::Sample { random, .. } => {
+                ops::input(Values::F32(random.normal(batch * latent)), (batch, latent), device).map(Some)
+            }
+            Self::Mean => Ok(None),
+            Self::Noise(noise) => Ok(Some(noise.clone())),
+        }
     }
 }
 
