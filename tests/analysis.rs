@@ -233,3 +233,89 @@ fn intervals_of_unpaired_differences_keep_their_level() {
         assert_covers(coverage, &format!("{sizes:?} {spreads:?}"));
     }
 }
+
+// --- tests whose episodes have heavy tails ---
+
+/// The sum of squared deviations of an episode.
+type Sum = fn(&mut ChaCha8Rng) -> f64;
+
+/// R2 on each dataset: 1 minus the errors of all test episodes over their variance. An episode's error is a share of its
+/// variance, times deviations of the dataset, of the episode and of both, all log-normal. Datasets with a `shared` test
+/// have the same episodes, each as difficult for one network as for the others.
+fn r2_on_datasets(
+    random: &mut ChaCha8Rng,
+    sum: Sum,
+    datasets: usize,
+    episodes: usize,
+    shared: bool,
+) -> Vec<f64> {
+    let episode = |random: &mut ChaCha8Rng| (sum(random), (0.5 * normal(random)).exp());
+    let draw = |random: &mut ChaCha8Rng| (0..episodes).map(|_| episode(random)).collect::<Vec<_>>();
+    let common = shared.then(|| draw(random));
+    let dataset = |_| {
+        let test = common.clone().unwrap_or_else(|| draw(random));
+        let share = 0.2 * (0.1 * normal(random)).exp();
+        let errors =
+            test.iter().map(|(sum, difficulty)| sum * difficulty * share * (0.2 * normal(random)).exp());
+        1.0 - errors.sum::<f64>() / test.iter().map(|(sum, _)| sum).sum::<f64>()
+    };
+    (0..datasets).map(dataset).collect()
+}
+
+/// The shares of intervals over `datasets` datasets that contain the mean over datasets and episodes, and of prediction
+/// intervals that contain the value on one more dataset, in %.
+fn coverages(sum: Sum, datasets: usize, episodes: usize, shared: bool) -> [f64; 2] {
+    const REPEATED: usize = 4_000;
+    let mut random = ChaCha8Rng::seed_from_u64(15);
+    let all = r2_on_datasets(&mut random, sum, 1_000_000 / episodes, episodes, false);
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    let mut covered = [0; 2];
+    for _ in 0..REPEATED {
+        let mut values = r2_on_datasets(&mut random, sum, datasets + 1, episodes, shared);
+        let next = values.pop().unwrap();
+        let estimate = Estimate::of(&values).unwrap();
+        let intervals = [(estimate.interval(LEVEL), mean), (estimate.prediction(LEVEL), next)];
+        for (count, (interval, value)) in covered.iter_mut().zip(intervals) {
+            *count += usize::from((interval.low()..=interval.high()).contains(&value));
+        }
+    }
+    covered.map(|count| 100.0 * count as f64 / REPEATED as f64)
+}
+
+#[test]
+fn intervals_of_tests_with_heavy_tails_cover_what_the_documentation_says() {
+    let page = include_str!("../docs/metrics.md");
+    let sums: [(&str, Sum); 3] = [
+        ("uniform", |random| random.random_range(0.5..1.5)),
+        ("log-normal, σ 1.5", |random| (1.5 * normal(random)).exp()),
+        ("Pareto, α 1.5", |random| random.sample(rand_distr::Pareto::new(1.0, 1.5).unwrap())),
+    ];
+    let mut lacking = Vec::new();
+    for (name, sum) in sums {
+        for (episodes, shared) in [(20, false), (200, false), (20, true), (200, true)] {
+            let [[mean_3, next_3], [mean_6, next_6]] =
+                [3, 6].map(|datasets| coverages(sum, datasets, episodes, shared));
+            let test = if shared { "shared" } else { "own" };
+            let row = format!(
+                "| {name} | {episodes} | {test} | {mean_3:.0} | {mean_6:.0} | {next_3:.0} | {next_6:.0} |"
+            );
+            println!("{row}");
+            // The intervals suppose about normal values. The page shows how far they are off for others.
+            if name == "uniform" && !shared {
+                let all = [mean_3, mean_6, next_3, next_6];
+                assert!(all.iter().all(|share| (93.0..=97.0).contains(share)), "{row}");
+            }
+            lacking.extend((!page.contains(&row)).then_some(row));
+        }
+    }
+    assert!(lacking.is_empty(), "docs/metrics.md lacks these rows: {lacking:#?}");
+}
+
+#[test]
+fn a_prediction_interval_is_that_of_students_t() {
+    // By hand: t = 4.3027, s = 1, √(1 + 1/3) = 1.1547.
+    let Interval { mean, bounds } = Estimate::of(&[1.0, 2.0, 3.0]).unwrap().prediction(0.95);
+    let (low, high) = bounds.unwrap();
+    assert!(mean == 2.0 && (high - 2.0 - 4.9683).abs() < 1e-3 && (2.0 - low - 4.9683).abs() < 1e-3);
+    assert_eq!(Estimate::of(&[1.0]).unwrap().prediction(0.95).bounds, None);
+}

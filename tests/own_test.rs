@@ -40,13 +40,11 @@ fn runs_on_several_datasets_share_one_test() {
     let episodes: Vec<u64> = rows.iter().map(|row| row["episode"].as_u64().unwrap()).collect();
     assert_eq!(episodes, [0, 1, 0, 1]);
     // The predicted values are those of the test's dataset.
-    let joined = format!(
-        "select count(*) as n, sum(case when p.reference = e.contact_force_19 then 1 else 0 end) as same \
+    let joined = "select count(*) as n, sum(case when p.reference = e.contact_force_19 then 1 else 0 end) as same \
          from predictions p join runs r on p.run = r.run \
          join episodes e on e.dataset = r.test_dataset and e.episode = p.episode and e.sample = p.sample \
-         where p.modality = 'contact_force' and p.\"index\" = 19"
-    );
-    let row = &ask(&results, &joined)[0];
+         where p.modality = 'contact_force' and p.\"index\" = 19";
+    let row = &ask(&results, joined)[0];
     assert!(row["n"].as_u64().unwrap() > 0);
     assert_eq!(row["n"], row["same"]);
 
@@ -55,6 +53,30 @@ fn runs_on_several_datasets_share_one_test() {
                           where model = 'persistence' and metric = 'rmse' group by modality, direction, \"index\"";
     let rows = ask(&results, of_persistence);
     assert!(!rows.is_empty() && rows.iter().all(|row| row["low"] == row["high"]), "{rows:?}");
+
+    let compared = succeed(&results, &["compare"]);
+    assert!(compared.contains("mean ± half of the 95 % interval over 2 datasets"), "{compared}");
+    assert!(compared.contains("runs in a world share their test episodes"), "{compared}");
+    let one_more = succeed(&results, &["compare", "--interval", "next-dataset"]);
+    let said = "mean ± half of the 95 % prediction interval for one more dataset, from 2 datasets";
+    assert!(one_more.split_whitespace().collect::<Vec<_>>().join(" ").contains(said), "{one_more}");
+    // With two datasets, it is √(2 + 1) times as wide.
+    let half = |over: &str| {
+        let path = results.join("means.json");
+        let arguments =
+            ["compare", "--metrics", "rmse", "--interval", over, "--output", path.to_str().unwrap()];
+        succeed(&results, &arguments);
+        let rows: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let number = |row: &serde_json::Value, name: &str| row[name].as_f64();
+        let network = rows.iter().filter(|row| row["model"] == "network");
+        network
+            .map(|row| Some(number(row, "high")? - number(row, "mean")?))
+            .collect::<Option<Vec<f64>>>()
+            .unwrap()
+    };
+    for (mean, next) in half("mean").iter().zip(half("next-dataset")) {
+        assert!((next - mean * 3.0_f64.sqrt()).abs() < 1e-9 * next, "{mean} {next}");
+    }
 
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
     succeed(&results, &["verify"]);

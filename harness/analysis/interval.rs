@@ -65,6 +65,37 @@ pub struct Estimate {
     count: usize,
 }
 
+/// What an interval is to contain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Over {
+    /// The mean over all datasets: a confidence interval.
+    #[default]
+    Mean,
+    /// The value on one more dataset: a prediction interval. It needs several datasets.
+    NextDataset,
+}
+
+impl Over {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Mean, Self::NextDataset];
+
+    /// The name, as options have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::NextDataset => "next-dataset",
+        }
+    }
+
+    /// What an interval is, given what its values are of, such as `6 datasets`.
+    pub fn described(self, replicates: &str) -> String {
+        match self {
+            Self::Mean => format!("95 % interval over {replicates}"),
+            Self::NextDataset => format!("95 % prediction interval for one more dataset, from {replicates}"),
+        }
+    }
+}
+
 /// The standard error of an estimate, and the degrees of freedom of Student's t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Spread {
@@ -101,6 +132,21 @@ impl Estimate {
         assert!(level > 0.0 && level < 1.0, "the level of an interval is between 0 and 1, not {level}");
         let half = self.spread.and_then(|spread| Some(spread.quantile(level)? * spread.error));
         Interval { mean: self.mean, bounds: half.map(|half| (self.mean - half, self.mean + half)) }
+    }
+
+    /// The prediction interval at `level` for one more value, by Student's t: `mean ± t s √(1 + 1/n)` (Hahn & Meeker,
+    /// *Statistical Intervals*, 1991, section 4.7). It supposes normal values.
+    ///
+    /// # Panics
+    /// When `level` is not between 0 and 1.
+    pub fn prediction(&self, level: f64) -> Interval {
+        let Interval { mean, bounds } = self.interval(level);
+        // The standard error is s / √n.
+        let wider = (self.count as f64 + 1.0).sqrt();
+        Interval {
+            mean,
+            bounds: bounds.map(|(low, high)| (mean - (mean - low) * wider, mean + (high - mean) * wider)),
+        }
     }
 
     /// The two-sided p-value of Student's t-test: the probability of an estimate at least as far from `bound`, if the

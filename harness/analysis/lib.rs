@@ -27,7 +27,8 @@ pub use comparison::{Comparison, Part, Place, Side, Subject, printed, usual_key,
 pub use harness_judge::models;
 pub use harness_metrics::{best, higher_is_better, label as metric_label};
 pub use interval::{
-    Estimate, Interval, LEVEL, holm, interval, intervals, mean_interval, replicates, unpaired_replicates,
+    Estimate, Interval, LEVEL, Over, holm, interval, intervals, mean_interval, replicates,
+    unpaired_replicates,
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
@@ -463,6 +464,15 @@ impl Analysis {
     /// The number of samples per second of all runs that count, as a note about horizons in samples.
     pub fn note_about_samples(&self) -> Option<String> {
         self.sample_rate_hz().map(|rate| format!("horizons in samples of {} s", 1.0 / rate))
+    }
+
+    /// The note that datasets share their test episodes, which intervals over datasets then do not vary; `None` if the
+    /// runs that count have no test with a dataset of its own.
+    pub fn note_about_shared_test(&self) -> Option<String> {
+        let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
+        runs.any(|run| run.record.spec.test.is_some()).then(|| {
+            "runs in a world share their test episodes, so intervals over datasets are those on these episodes".to_owned()
+        })
     }
 
     /// The note that predictions are of the next sample; `None` if the runs that count predict no further.

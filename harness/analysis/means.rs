@@ -2,7 +2,9 @@
 
 use super::rows::Row;
 use super::skill::{skill_horizons, skills};
-use super::{Analysis, AnalysisError, Interval, Key, Run, Setting, interval};
+use super::{
+    Analysis, AnalysisError, Estimate, Interval, Key, LEVEL, Over, Run, Setting, interval, replicates,
+};
 use harness_catalog::{OVERALL, QueryError, rows};
 use harness_judge::models::{self, NETWORK, is_baseline};
 use harness_metrics::Metric;
@@ -27,8 +29,10 @@ pub struct Mean {
     pub seeds: Vec<(u64, u64)>,
     /// Number of datasets that the values are of.
     pub datasets: usize,
-    /// Their mean, with a confidence interval.
+    /// Their mean, with an interval.
     pub interval: Interval,
+    /// What the interval is to contain.
+    pub over: Over,
 }
 
 /// The group, the model and the metric of a [`Mean`].
@@ -131,7 +135,20 @@ impl Mean {
         let interval = interval(replicates.iter().map(|((dataset, _), value)| (*dataset, *value)))?;
         let (seeds, values): (Vec<(u64, u64)>, Vec<f64>) = replicates.into_iter().unzip();
         let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
-        Some(Self { of, unit, values, seeds, datasets, interval })
+        Some(Self { of, unit, values, seeds, datasets, interval, over: Over::Mean })
+    }
+
+    /// Returns the mean with another interval. One dataset says nothing about the next, so its mean has no bounds then.
+    pub fn with_interval(self, over: Over) -> Self {
+        let values =
+            || replicates(self.seeds.iter().map(|(dataset, _)| *dataset).zip(self.values.iter().copied()));
+        let mean = self.interval.mean;
+        let interval = match over {
+            Over::Mean => Estimate::of(&values()).map(|estimate| estimate.interval(LEVEL)),
+            Over::NextDataset if self.datasets < 2 => None,
+            Over::NextDataset => Estimate::of(&values()).map(|estimate| estimate.prediction(LEVEL)),
+        };
+        Self { interval: interval.unwrap_or(Interval { mean, bounds: None }), over, ..self }
     }
 
     /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
@@ -142,7 +159,8 @@ impl Mean {
         let of_base: HashMap<_, f64> = base.seeds.iter().map(key).zip(base.values.iter().copied()).collect();
         let own = self.seeds.iter().zip(&self.values);
         let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(&key(seeds))?)));
-        Self::new(self.of.clone(), self.unit.clone(), differences.collect())
+        let difference = Self::new(self.of.clone(), self.unit.clone(), differences.collect())?;
+        Some(difference.with_interval(self.over))
     }
 
     /// Whether two means of a baseline share datasets, and have the same value on each of them, up to rounding.

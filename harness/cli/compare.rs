@@ -10,8 +10,8 @@ use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use harness::analysis::{
-    Analysis, Comparison, Interval, Key, Label, Labels, Mean, Place, Setting, Side, Subject, check_models,
-    printed, replicates_of, usual_key,
+    Analysis, Comparison, Interval, Key, Label, Labels, Mean, Over, Place, Setting, Side, Subject,
+    check_models, printed, replicates_of, usual_key,
 };
 use harness::meant;
 use harness::metrics::{Metric, best};
@@ -76,6 +76,14 @@ pub struct Compare {
     /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline
     #[arg(long, value_name = "COLUMN")]
     difference_from: Option<String>,
+    /// What the intervals are to contain: the mean over all datasets and seeds, or the value on one more dataset
+    #[arg(
+        long,
+        value_name = "OVER",
+        value_parser = PossibleValuesParser::new(Over::ALL.map(Over::name)),
+        default_value = Over::Mean.name()
+    )]
+    interval: String,
     /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
     /// one setting are alternatives
     #[arg(long = "where", value_name = "KEY=VALUE")]
@@ -168,7 +176,9 @@ impl Compare {
         if !all.iter().any(|mean| self.wants(mean)) && self.metrics.join(",") == USUAL {
             self.metrics = ALWAYS_DEFINED.map(|metric| metric.name().to_owned()).to_vec();
         }
-        let means: Vec<Mean> = all.into_iter().filter(|mean| self.wants(mean)).collect();
+        let over = Over::ALL.into_iter().find(|over| over.name() == self.interval).unwrap_or_default();
+        let wanted = all.into_iter().filter(|mean| self.wants(mean));
+        let means: Vec<Mean> = wanted.map(|mean| mean.with_interval(over)).collect();
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
             let (reasons, list) = (undefined, registry.command(list));
@@ -206,6 +216,7 @@ impl Compare {
         if means.iter().any(is_over_horizons) {
             comparison.notes.push(LAST_HORIZON.to_owned());
         }
+        comparison.notes.extend(analysis.note_about_shared_test());
         comparison.notes.extend(undefined);
         comparison.notes.extend(analysis.notes().iter().cloned());
         if style == Style::Text && !self.all {
@@ -467,8 +478,10 @@ impl<'a> Printed<'a> {
         if values.keys().all(|(_, side)| side.baseline.is_some()) {
             return String::new();
         }
-        match replicates_of(network.map(|(_, mean)| mean.as_ref())) {
-            Some(over) => format!("mean ± half of the 95 % interval over {over}"),
+        let means: Vec<&Mean> = network.map(|(_, mean)| mean.as_ref()).collect();
+        let over = means.first().map(|mean| mean.over).unwrap_or_default();
+        match replicates_of(means) {
+            Some(replicates) => format!("mean ± half of the {}", over.described(&replicates)),
             None => "one seed, so without intervals".into(),
         }
     }
