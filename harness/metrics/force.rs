@@ -1,5 +1,5 @@
-//! What a prediction of contact forces is worth, judged so that a few strong contacts do not decide: by the logarithm of
-//! the force, by whether a link touches, by the phase of the contact, and by the predictive distribution.
+//! What a prediction of contact forces is worth, judged so that a few strong contacts do not decide: by the logarithm
+//! of the force, by whether a link touches, by the phase of the contact, and by the predictive distribution.
 
 use super::ensemble::{Distribution, Ensemble};
 use super::error::{MetricsError, check_samples};
@@ -315,7 +315,7 @@ fn r2(series: Vec<Series>) -> Option<f64> {
     series::r2(&series)
 }
 
-/// Returns a number from 0 to 1, excluding 1, which is the same for the same seed (SplitMix64, by Steele, Lea and Flood,
+/// Returns a number from 0 to 1, excluding 1, which is the same for the same seed (SplitMix64; Steele, Lea and Flood,
 /// 2014, *Fast splittable pseudorandom number generators*).
 fn uniform(seed: u64) -> f64 {
     let mut bits = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);

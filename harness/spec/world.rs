@@ -1181,7 +1181,7 @@ fn contact_kinds(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), 
         if kind == NO_CONTACT {
             return Err(format!("'{NO_CONTACT}' means no contact; give this kind another name"));
         }
-        if CONTACT_PARTS.iter().any(|part| kind == *part) {
+        if CONTACT_PARTS.contains(&kind) {
             return Err(format!("metrics call a phase of contacts '{kind}'; give this kind another name"));
         }
     }

@@ -164,7 +164,9 @@ fn drawn_latent_states_give_a_distribution_that_depends_on_no_other_window() {
     assert_ne!(drawn, predicted(50, 1, &together), "of another seed");
     for (_, members) in &drawn {
         let [low, median, high] = members.as_ref().expect("there are members");
-        assert!(low.iter().zip(median).zip(high).all(|((low, median), high)| low <= median && median <= high));
+        assert!(
+            low.iter().zip(median).zip(high).all(|((low, median), high)| low <= median && median <= high)
+        );
         assert!(low.iter().zip(high).any(|(low, high)| low < high), "the draws differ");
     }
     assert!(predicted(0, 0, &together).iter().all(|(_, members)| members.is_none()), "without draws");
