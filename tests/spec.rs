@@ -232,8 +232,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, scaling, training, vary, \
-             search, readings, quick",
+             input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, test, scaling, \
+             training, vary, search, readings, quick",
         ),
     ]);
 }

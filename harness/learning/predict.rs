@@ -10,6 +10,7 @@ use harness_metrics::{Ensemble, Members};
 use harness_ops::{Values, input};
 use harness_samples::{Normalizer, Normalizers, Sample, Samples, after, physical};
 use harness_spec::{Modality, Window, WindowStart};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Consecutive samples that a network sees one after the other, from a start without knowledge.
@@ -238,11 +239,18 @@ impl TrainedNetwork<'_> {
         let vectors: Vec<Modality> =
             self.output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
         let mut members = Drawn::new();
+        // The stream of each sample, the latest draw, and its noise, which a sample may need several times.
+        let streams = RefCell::new(BTreeMap::<Sample, (Random, Option<usize>, Vec<f32>)>::new());
         for draw in 0..self.draws {
             let noise = |now: &[Sample]| {
+                let mut streams = streams.borrow_mut();
                 let of_sample = |sample: &Sample| {
-                    let mut random = Random::new(self.seed, Stream::Draws(sample.index()));
-                    random.normal((draw + 1) * latent).split_off(draw * latent)
+                    let new = || (Random::new(self.seed, Stream::Draws(sample.index())), None, Vec::new());
+                    let (random, latest, noise) = streams.entry(*sample).or_insert_with(new);
+                    if latest.replace(draw) != Some(draw) {
+                        *noise = random.normal(latent);
+                    }
+                    noise.clone()
                 };
                 let noise = now.iter().flat_map(of_sample).collect();
                 input(Values::F32(noise), (now.len(), latent), &self.data.device).map(Draw::Noise)

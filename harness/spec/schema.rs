@@ -205,7 +205,7 @@ pub(super) const BELOW_VARY: &str = "vary.";
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 11] = [
+    const SECTIONS: [&str; 12] = [
         "input",
         "output",
         "outputs",
