@@ -1,6 +1,6 @@
 //! Rows of further horizons, and of models that got only some inputs: where they are, and that nothing else sees them.
 
-use crate::common::{SMOKE, finish, fresh, published_without, harness, in_chromium, succeed};
+use crate::common::{SMOKE, finish, fresh, harness, in_chromium, published_without, succeed};
 use crate::figures::assert_whole;
 use harness::analysis::{LEVEL, mean_interval};
 use harness::experiment::rollout;
@@ -134,7 +134,8 @@ fn answer(results: &Path, command: &[&str]) -> (i32, String, Vec<(String, Vec<u8
 
 #[test]
 fn further_rows_change_no_other_answer() {
-    let [plain, further] = ["horizons_plain", "horizons_further"].map(|name| published_without(&["memory", "paper"], name));
+    let [plain, further] =
+        ["horizons_plain", "horizons_further"].map(|name| published_without(&["memory", "paper"], name));
     // These runs have further rows already.
     for results in [&plain, &further] {
         for run in runs(results).iter().filter(|run| run.join(Table::AllMetrics.file_name()).exists()) {
