@@ -1393,7 +1393,7 @@ fn settings_of_outputs_are_those_that_training_stores() {
     let old = "training: {losses: {contact_force: huber}, loss_weights: {contact_force: 2}}\n";
     let new = "outputs: {contact_force: {loss: huber, weight: 2, predict: value}}\n";
     let runs = |text: &str, overrides: &[&str]| {
-        let runs = load_with(&format!("{BASE}{text}"), overrides, false).unwrap().runs();
+        let runs = load_with(format!("{BASE}{text}"), overrides, false).unwrap().runs();
         runs.iter().map(|run| (run.variant.clone(), run.hash())).collect::<Vec<_>>()
     };
     assert_eq!(runs(old, &[]), runs(new, &[]));

@@ -140,7 +140,7 @@ fn main() -> anyhow::Result<()> {
             ..Network::default()
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
-        changes: BTreeMap::new(),
+        changes: Default::default(),
     };
     let batch = arguments.batch;
     if !batch.is_multiple_of(arguments.context) {

@@ -149,8 +149,8 @@ fn drawn_latent_states_give_a_distribution_that_depends_on_no_other_window() {
             let width = predicted.values.len() / at.len();
             let last = (at.len() - 1) * width;
             let members = predicted.ensemble.as_ref().map(|all| {
-                [0.1, 0.5, 0.9]
-                    .map(|share| (0..width).map(|value| all.at(last + value).quantile(share)).collect())
+                let of = |share| (0..width).map(|value| all.at(last + value).quantile(share)).collect();
+                [0.1, 0.5, 0.9].map(|share| -> Vec<f64> { of(share) })
             });
             found.push((predicted.values[last..].to_vec(), members));
             Ok(())
@@ -159,7 +159,7 @@ fn drawn_latent_states_give_a_distribution_that_depends_on_no_other_window() {
         found
     };
     let together = [Sample::at(1), Sample::at(2), Sample::at(14)];
-    let drawn: Vec<(Vec<f32>, Option<[Vec<f64>; 3]>)> = predicted(50, 0, &together);
+    let drawn = predicted(50, 0, &together);
     assert_eq!(drawn, predicted(50, 0, &together[2..]), "of one window alone");
     assert_ne!(drawn, predicted(50, 1, &together), "of another seed");
     for (_, members) in &drawn {

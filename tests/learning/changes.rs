@@ -30,10 +30,18 @@ fn bench(memory: Memory) -> (Bench, Box<dyn Predicting>, Parameters) {
     (bench, network, parameters)
 }
 
+fn trained<'a>(
+    data: &'a NormalizedData,
+    network: Box<dyn Predicting>,
+    window: &'a Window,
+) -> TrainedNetwork<'a> {
+    TrainedNetwork { data, network, input: &BOTH, output: &BOTH, window, draws: 0, seed: 0 }
+}
+
 /// What is predicted of a modality at each horizon.
 fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Vec<f32>> {
     let mut found = BTreeMap::new();
-    let mut receive = |Predicted { modality, horizon, values }: &Predicted| {
+    let mut receive = |Predicted { modality, horizon, values, .. }: &Predicted| {
         if *modality == of {
             found.insert(*horizon, values.clone());
         }
@@ -51,13 +59,8 @@ fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
             parameters[name].set(&parameters[name].zeros_like().unwrap()).unwrap();
         }
         let (data, at) = (&bench.data, &bench.partition.test[..]);
-        let network = TrainedNetwork {
-            data,
-            network: network.detached(),
-            input: &BOTH,
-            output: &BOTH,
-            window: &WINDOW,
-        };
+        let window = WINDOW;
+        let network = trained(data, network.detached(), &window);
         let horizons = WINDOW.horizons();
         let persistence =
             Persistence { samples: &data.samples, modality: Modality::ARM, horizons: &horizons };
@@ -91,7 +94,7 @@ fn the_loss_is_the_error_of_the_predictions_in_units_of_the_change() {
             for ago in 0..context {
                 let window = Window { context: context - ago, horizon: distance, ..WINDOW };
                 let network = objective.network.detached();
-                let trained = TrainedNetwork { data, network, input: &BOTH, output: &BOTH, window: &window };
+                let trained = trained(data, network, &window);
                 let present = [at[0].before(ago)];
                 let found = predicted(&trained, &present, Modality::ARM).remove(&distance).unwrap();
                 let reference = data.samples.vector(Modality::ARM, present[0].after(distance));
