@@ -2,7 +2,8 @@
 //! from which other programs can rebuild the network.
 
 use super::LearningError;
-use super::network::{Parameters, description::Description};
+use super::network::Parameters;
+use super::network::description::{Description, change_of};
 use super::tensors::TensorFile;
 use candle_core::{Device, Result as CandleResult, Tensor};
 use harness_samples::{Normalizer, Normalizers};
@@ -39,11 +40,6 @@ pub fn save(
         tensors.insert(change_of(*modality), vector(&change.std)?);
     }
     TensorFile { tensors, note: Map::from_iter([(NETWORK.to_owned(), json!(network))]) }.write(path)
-}
-
-/// Returns the name of the tensor that normalizes the changes of a modality.
-pub(crate) fn change_of(modality: Modality) -> String {
-    format!("scale.{modality}.change")
 }
 
 fn vector(values: &[f32]) -> CandleResult<Tensor> {

@@ -338,7 +338,7 @@ fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> 
     experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
     let at = |fault: validate::Fault| Problem::new(tree.place_of(&fault.path), fault.message);
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
-    outputs::store(&mut experiment).map_err(at)?;
+    outputs::store(&mut experiment).map_err(|(path, message)| at(validate::Fault { path, message }))?;
     check_rates(tree, &experiment)?;
     validate::validate(&experiment).map_err(at)?;
     if worlds.purpose == Purpose::Training {

@@ -1,7 +1,6 @@
 //! The settings of outputs. A spec has them under `outputs`, by output. A run stores them under `training`, by setting.
 
 use super::types::{Experiment, OutputSettings};
-use super::validate::Fault;
 use harness_layout::Modality;
 use std::collections::BTreeMap;
 
@@ -11,8 +10,8 @@ const STORED: [(&str, &str); 3] = [("predict", "predict"), ("loss", "losses"), (
 /// Writes the settings of outputs to those of training.
 ///
 /// # Errors
-/// When a setting is given in both places.
-pub(super) fn store(experiment: &mut Experiment) -> Result<(), Fault> {
+/// When a setting is given in both places. The error has the key at fault and the message.
+pub(super) fn store(experiment: &mut Experiment) -> Result<(), (String, String)> {
     fn insert<T>(stored: &mut BTreeMap<Modality, T>, output: Modality, value: Option<T>) -> bool {
         value.is_none_or(|value| stored.insert(output, value).is_none())
     }
@@ -27,7 +26,7 @@ pub(super) fn store(experiment: &mut Experiment) -> Result<(), Fault> {
             let (setting, section) = STORED[twice];
             let path = format!("outputs.{output}.{setting}");
             let message = format!("'training.{section}.{output}' sets it as well; keep only one of them");
-            return Err(Fault { path, message });
+            return Err((path, message));
         }
     }
     Ok(())

@@ -3,7 +3,6 @@
 //! docs/networks.md explains it. Names of tensors are those of the network's file.
 
 use super::Architecture;
-use crate::checkpoint::change_of;
 use candle_core::Result;
 use harness_samples::{Normalizer, Normalizers};
 use harness_spec::{Action, Element, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
@@ -134,6 +133,11 @@ impl Scale {
     fn of(name: &str) -> Self {
         Self { mean: format!("scale.{name}.mean"), deviation: format!("scale.{name}.deviation") }
     }
+}
+
+/// Returns the name of the tensor that normalizes the changes of a modality.
+pub(crate) fn change_of(modality: Modality) -> String {
+    format!("scale.{modality}.change")
 }
 
 /// A modality that the decoder returns.
