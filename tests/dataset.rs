@@ -809,7 +809,7 @@ fn the_built_in_worlds_record_the_bits_that_they_did_before() {
         (collected.dataset.name().to_owned(), hash)
     };
     let expected =
-        [("empty-71ad3b2bc9943e8d", "7e0ac7a668de31a0"), ("cluttered-470df0900ac380cb", "e3915843750e9b1c")];
+        [("empty-b0292fe37b44c59b", "3b11a335c6c34c76"), ("cluttered-348c5f686d8f8cba", "701531a109945c5e")];
     let found = [Scenario::EMPTY, Scenario::CLUTTERED].map(hash);
     assert_eq!(found.each_ref().map(|(name, hash)| (name.as_str(), hash.as_str())), expected);
 }

@@ -332,7 +332,8 @@ def check_chosen(page: Served):
         const rows = all.find((one) => one.textContent.startsWith("Metrics")).querySelectorAll("tbody tr");
         return Object.fromEntries([...rows].map(({cells}) => [cells[2].textContent, cells[4].textContent]));""")
     is_up = {name: words == "higher is better" for name, words in directions.items()}
-    assert is_up == {name: name.startswith("r2") for name in directions}, directions
+    higher = ("r2", "log_r2", "trimmed_r2", "f1", "auc")
+    assert is_up == {name: name.startswith(higher) for name in directions}, directions
     for _ in range(2):
         page.browser.execute_script("document.querySelector('tr.chosen').click()")
     page.wait(lambda: page.text("#chosen") == "")
