@@ -290,7 +290,7 @@ def test_the_kinds_have_every_value_of_every_network_setting() -> None:
     }
     assert lengths == {"hidden": {False, True}, "channels": {False, True}}
     assert used["average"] == {"1", "2", "4"}
-    known = {"preset", "fusion", "hidden", "channels", "average", "memory", "memory_samples"}
+    known = {"preset", "fusion", "hidden", "channels", "average", "memory", "memory_samples", "draws"}
     assert set(settings) == known, "a new setting needs new kinds"
 
 
