@@ -232,8 +232,8 @@ def test_reward_needs_touch() -> None:
     press.reset()
     hanging = [press.step(np.zeros(3)).reward for _ in range(5)]
     assert hanging == [0.0] * 5
-    # The finger hangs 0.5 m above the ground.
-    down = [press.step(np.array([0, -0.03, 0])) for _ in range(25)]
+    # The finger hangs 0.5 m above the ground, on which it stands upright. Slowly, so that a sample has a part of the force.
+    down = [press.step(np.array([0, -lowered, 0])) for lowered in [0.03] * 14 + [0.003] * 20]
     for step in down:
         assert (step.reward > 0) <= (step.observation["contact_force_mean"].sum() > 0)
     assert max(step.reward for step in down) > 0
