@@ -118,9 +118,6 @@ impl RunTable {
     }
 
     /// Returns the names and types of the files' columns, or nothing if no run has a file of the table.
-    ///
-    /// # Errors
-    /// When the first run's file is damaged.
     pub fn schema(&self) -> PolarsResult<SchemaRef> {
         let columns: Vec<String> = self.table.columns().into_iter().map(|column| column.name).collect();
         let Some(first) = self.files.first() else { return Ok(SchemaRef::default()) };
@@ -138,9 +135,6 @@ impl RunTable {
 
     /// Applies `of` to these columns, piece by piece, and returns the results in the order of the runs. A piece has all
     /// rows of one or several runs that satisfy the conditions; with a limit, the last piece has fewer.
-    ///
-    /// # Errors
-    /// When a file is damaged, or `of` fails.
     pub fn map<T: Send>(
         &self,
         columns: &[String],

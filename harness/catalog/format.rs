@@ -10,9 +10,6 @@ use std::io::Write;
 use std::path::Path;
 
 /// The rows of an answer as values of `T`. The fields of `T` are named after the columns.
-///
-/// # Errors
-/// When a column is missing or has another type.
 pub fn rows<T: DeserializeOwned>(answer: &mut DataFrame) -> Result<Vec<T>, QueryError> {
     let mut json = Vec::new();
     JsonWriter::new(&mut json).with_json_format(JsonFormat::Json).finish(answer).map_err(QueryError::Sql)?;
@@ -32,9 +29,6 @@ pub enum TableFormat {
 
 impl TableFormat {
     /// The format that the ending of a file's name stands for.
-    ///
-    /// # Errors
-    /// When the name has another ending.
     pub fn of(path: &Path) -> Result<Self, QueryError> {
         let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
         match ending.as_str() {
@@ -64,9 +58,6 @@ impl TableFormat {
     }
 
     /// What this format loses of an answer, in a sentence: JSON has no NaN and no infinity.
-    ///
-    /// # Errors
-    /// When Polars fails.
     pub fn loss(self, answer: &DataFrame) -> PolarsResult<Option<String>> {
         if self != Self::Json {
             return Ok(None);

@@ -43,9 +43,6 @@ pub fn query(registry: &Registry, sql: &str) -> Result<DataFrame, QueryError> {
 }
 
 /// Answers one statement of SQL like [`query`], over runs that were read before.
-///
-/// # Errors
-/// Like [`query`].
 pub fn query_all(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
     let query = Query::parse(sql)?;
     let answer = answer_of(registry, runs, &query)?;
@@ -77,9 +74,6 @@ fn sees(query: &Query, record: &RunRecord) -> bool {
 }
 
 /// Answers one statement of SQL over only those runs for which `is_wanted` returns true.
-///
-/// # Errors
-/// Like [`query`].
 pub fn query_of(
     registry: &Registry,
     is_wanted: impl Fn(&RunRecord) -> bool,
@@ -104,9 +98,6 @@ fn answer_for(
 }
 
 /// Answers one statement of SQL over only these runs, which were read before.
-///
-/// # Errors
-/// Like [`query`].
 pub fn query_recorded(registry: &Registry, runs: &[Recorded], sql: &str) -> Result<DataFrame, QueryError> {
     answer_of(registry, runs, &Query::parse(sql)?)
 }
@@ -178,9 +169,6 @@ fn conditions_on(query: &Query, table: Table, columns: &[Column]) -> BTreeSet<Co
 }
 
 /// A table over `runs` or, for `episodes`, over all datasets. It has at least those rows that the query can see.
-///
-/// # Errors
-/// When a file of the table is damaged or missing.
 pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query) -> PolarsResult<LazyFrame> {
     // A run's tables count once its record says that it is done, and as its record lists them.
     let done = || -> Vec<&RunRecord> {
@@ -261,9 +249,6 @@ fn run_table(
 }
 
 /// The rows of all frames; `None` without frames.
-///
-/// # Errors
-/// When the frames have different columns.
 pub fn one_after_the_other(mut frames: Vec<LazyFrame>) -> PolarsResult<Option<LazyFrame>> {
     match frames.len() {
         0 | 1 => Ok(frames.pop()),

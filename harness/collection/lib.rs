@@ -102,9 +102,6 @@ pub fn collect(
 
 /// Like [`collect`], but simulates only the episodes of one shard. The shards divide a list in which the dataset's
 /// first episode has the index `first`. Other processes can simulate the other shards at the same time.
-///
-/// # Errors
-/// See [`collect`].
 pub fn collect_share(
     dataset: &Dataset,
     scene: &Scene,
@@ -118,9 +115,6 @@ pub fn collect_share(
 
 /// Like [`collect`], together with other processes: first the episodes of a shard, then those that the other processes
 /// have not simulated.
-///
-/// # Errors
-/// See [`collect`].
 pub fn collect_together(
     dataset: &Dataset,
     scene: &Scene,

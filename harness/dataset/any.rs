@@ -19,9 +19,6 @@ pub enum AnyDataset {
 
 impl AnyDataset {
     /// Opens the dataset in a folder, whose description says whether it was simulated or imported.
-    ///
-    /// # Errors
-    /// When there is no description in the folder, or it is damaged.
     pub fn at(folder: &Path) -> Result<Self, DatasetError> {
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         match folder.parent() {
@@ -87,9 +84,6 @@ impl AnyDataset {
     }
 
     /// Reads one episode into memory, with its frames, as the only one of a dataset.
-    ///
-    /// # Errors
-    /// When the episode is missing or damaged.
     pub fn load_episode(&self, index: u32) -> Result<Samples, DatasetError> {
         let (recording, episode) = match self {
             Self::Simulated(dataset) => (dataset.recording(), dataset.read(index, true)?),

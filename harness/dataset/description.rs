@@ -97,9 +97,6 @@ impl Description {
 }
 
 /// Returns the layout of the samples of the dataset in a folder. The dataset can be simulated or imported.
-///
-/// # Errors
-/// When the description can't be read.
 pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
     let described = || {
         let description = Description::read(folder)?;

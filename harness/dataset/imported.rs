@@ -21,9 +21,6 @@ pub struct Imported {
 
 impl Imported {
     /// Opens the imported dataset `name` in the folder `root`.
-    ///
-    /// # Errors
-    /// When there is none, or its description is damaged.
     pub fn open(root: &Path, name: &str) -> Result<Self, DatasetError> {
         let folder = root.join(name);
         if !folder.join(Description::FILE).exists() {
@@ -62,9 +59,6 @@ impl Imported {
     }
 
     /// Checks that the dataset has the modalities that a run uses, and an episode as long as its window.
-    ///
-    /// # Errors
-    /// When it has not.
     pub fn check(&self, spec: &RunSpec) -> Result<(), DatasetError> {
         let missing = spec.modalities().into_iter().find(|modality| self.layout.get(*modality).is_none());
         if let Some(modality) = missing {
@@ -122,9 +116,6 @@ impl Imported {
     }
 
     /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
-    ///
-    /// # Errors
-    /// When the file is missing, damaged, or not this episode.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let path = self.folder.join(episode_file(index));
         let samples = self.content.samples().nth(index as usize);

@@ -189,9 +189,6 @@ impl Dataset {
 
     /// Writes the dataset's description to its folder and, unless it is there undamaged, the compiled model as MJCF,
     /// which `mjcf` returns if it can be written. Only people and `harness diff` read the model.
-    ///
-    /// # Errors
-    /// When a file can't be written.
     pub fn describe(&self, mjcf: impl FnOnce() -> Option<String>) -> Result<(), DatasetError> {
         let mut description = self.description.clone();
         let there = Description::read(&self.folder).ok();
@@ -208,9 +205,6 @@ impl Dataset {
     }
 
     /// Writes one episode to its file.
-    ///
-    /// # Errors
-    /// When the table can't be made, or the file can't be written.
     pub fn save(&self, episode: &Episode) -> Result<(), DatasetError> {
         let stamp = Stamp::from([
             ("dataset".into(), self.name.clone()),
@@ -227,9 +221,6 @@ impl Dataset {
 
     /// Removes the files of episodes that are there, and the whole folder if it has no other episodes. The caller must
     /// hold the folder's lock.
-    ///
-    /// # Errors
-    /// When a file can't be removed.
     pub fn discard(&self, episodes: &[u32]) -> std::io::Result<()> {
         for path in episodes.iter().map(|index| self.episode_path(*index)).filter(|path| path.exists()) {
             std::fs::remove_file(path)?;
@@ -278,9 +269,6 @@ impl Dataset {
     }
 
     /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
-    ///
-    /// # Errors
-    /// See [`Dataset::load`].
     pub fn load_with_test(
         &self,
         test: Option<&Dataset>,
@@ -310,9 +298,6 @@ impl Dataset {
     }
 
     /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
-    ///
-    /// # Errors
-    /// When the file is missing, damaged, or not this episode.
     pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
         let (path, samples) = (self.episode_path(index), self.spec.samples_per_episode());
         read_episode(&path, &self.name, index, samples, frames, &self.layout)

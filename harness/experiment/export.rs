@@ -58,9 +58,6 @@ pub fn attached(registry: &Registry, wanted: &str) -> Result<Option<PathBuf>, Mo
 
 /// Returns the bytes of an ONNX model of the finished run whose id, or `experiment/id`, begins with `wanted`. It
 /// predicts the next observation, or reconstructs the present one, as `task` says.
-///
-/// # Errors
-/// Those of [`network_files`], and when the run did not train `task`.
 pub fn onnx(registry: &Registry, wanted: &str, task: Task) -> Result<Vec<u8>, ModelError> {
     let (folder, record, trained) = finished(registry, wanted)?;
     if !record.spec.tasks.contains(&task) {

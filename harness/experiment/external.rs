@@ -377,9 +377,6 @@ pub struct JudgedRun {
 impl Runner<'_> {
     /// Returns the tasks of an experiment that differ in their data, inputs, outputs or windows. Cells that differ only
     /// in their networks are one task.
-    ///
-    /// # Errors
-    /// When a dataset can't be opened, or lacks something that the experiment needs.
     pub fn tasks(&self, experiment: &Experiment) -> Result<Vec<PredictionTask>, ExperimentError> {
         let mut tasks: Vec<PredictionTask> = Vec::new();
         for run in experiment.runs() {

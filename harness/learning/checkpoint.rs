@@ -17,9 +17,6 @@ const NETWORK: &str = "network";
 
 /// Writes `parameters`, `normalizers` and the `network`'s description to a sealed file. A failed write leaves no
 /// partial file.
-///
-/// # Errors
-/// When the file can't be written.
 pub fn save(
     path: &Path,
     parameters: &Parameters,

@@ -62,9 +62,6 @@ impl NormalizedData {
 
     /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of
     /// `modalities`, or their changes since `present`.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn targets(&self, at: &[Sample], present: &[Sample], modalities: &[Modality]) -> Result<Observation> {
         let changes = &self.normalizers.changes;
         let (changed, valued): (Vec<Modality>, Vec<Modality>) =
@@ -87,9 +84,6 @@ impl NormalizedData {
     }
 
     /// Returns the normalized values of `modalities` at the samples `at`.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn observation(&self, at: &[Sample], modalities: &[Modality]) -> Result<Observation> {
         let value = |&modality: &Modality| {
             let images = (!self.device.is_cpu()).then_some(&self.images);
@@ -136,9 +130,6 @@ impl NormalizedData {
     }
 
     /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn actions(&self, at: &[Sample]) -> Result<Tensor> {
         let actions =
             |at: &[Sample]| self.matrix(self.normalizers.actions(&self.samples, at, self.action), at.len());

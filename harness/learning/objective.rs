@@ -25,16 +25,10 @@ pub struct Weighted {
 /// A loss over windows, which training minimizes.
 pub trait Objective {
     /// Returns the terms of the loss over the windows whose present samples are `at`.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
     fn terms(&self, at: &[Sample], draw: Draw) -> Result<Vec<Weighted>>;
 
     /// Returns the lists of rows that the terms over these windows take from data on a GPU, in any order. None if they
     /// are not known before.
-    ///
-    /// # Errors
-    /// When the data lack a sample.
     fn indices(&self, _at: &[Sample]) -> Result<Vec<Vec<u32>>> {
         Ok(Vec::new())
     }

@@ -41,9 +41,6 @@ impl Observation {
     }
 
     /// Returns these vectors side by side, `[batch, width]`.
-    ///
-    /// # Errors
-    /// When one of them was not given, or is an image.
     pub fn vectors(&self, modalities: &[Modality]) -> Result<Tensor> {
         let vector = |modality: &Modality| match self.get(*modality) {
             Some(Value::Vector(vector)) => Ok(vector.clone()),
@@ -54,9 +51,6 @@ impl Observation {
     }
 
     /// Returns these images stacked by channel.
-    ///
-    /// # Errors
-    /// When one of them was not given, or is a vector.
     pub fn frames(&self, modalities: &[Modality]) -> Result<Arc<dyn Frames>> {
         let frames = |modality: &Modality| match self.get(*modality) {
             Some(Value::Frames(frames)) => Ok(frames.clone()),

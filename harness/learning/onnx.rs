@@ -50,9 +50,6 @@ pub struct Described {
 /// The model of a network with memory also takes `state`, which is zero for the first sample of an episode, and `seen`,
 /// which is 1 for a sample that is seen and 0 for one that is not. It returns `state.next`, the state for the sample
 /// after `action`.
-///
-/// # Errors
-/// When a tensor is missing.
 pub fn model(
     prediction: &Described,
     decoding: &Described,

@@ -76,9 +76,6 @@ impl Tracks {
 /// Returns the state of a network that has seen the windows until the present samples `at`, which are in ascending
 /// order, and the divergence of each dimension of their latent states, `[at, latent]`, in nats; `None` for a network
 /// that gives none.
-///
-/// # Errors
-/// Those of the network.
 fn present(
     network: &dyn Network,
     data: &NormalizedData,
@@ -164,9 +161,6 @@ pub struct Latents {
 
 impl Latents {
     /// Computes the latent states, which are means of posteriors.
-    ///
-    /// # Errors
-    /// Those of the network.
     pub fn of(
         network: &dyn Network,
         data: &NormalizedData,
@@ -181,9 +175,6 @@ impl Latents {
     }
 
     /// Returns the rows of these samples' latent states.
-    ///
-    /// # Errors
-    /// When the dataset has no such sample.
     pub(crate) fn indices(&self, at: &[Sample]) -> Result<Vec<u32>> {
         at.iter()
             .map(|sample| match self.at.binary_search(sample) {
@@ -194,9 +185,6 @@ impl Latents {
     }
 
     /// Returns the latent states at these samples, `[at, latent]`.
-    ///
-    /// # Errors
-    /// When the dataset has no such sample.
     pub fn rows(&self, at: &[Sample]) -> Result<Tensor> {
         self.values.index_select(&input(Values::U32(self.indices(at)?), at.len(), self.values.device())?, 0)
     }
@@ -303,9 +291,6 @@ impl TrainedNetwork<'_> {
     /// Returns the divergence of each dimension of the latent state from what was expected before the present sample,
     /// averaged over the windows at these present samples, `[latent]`, in nats. It was expected to be standard normal,
     /// or as the prior says if the network has one.
-    ///
-    /// # Errors
-    /// Those of the network.
     pub fn divergences(&self, at: &[Sample]) -> Result<Vec<f64>> {
         let Self { data, network, input, window, .. } = self;
         let mut sums: Vec<f64> = Vec::new();
@@ -382,9 +367,6 @@ fn pass_on(
 
 /// Returns what a network predicts of each modality in `output` in physical units, `[batch, width]`; images channel by
 /// channel. `present` returns the values of a modality at the present samples, to which predicted changes are added.
-///
-/// # Errors
-/// When the decoder has no such output.
 pub fn predicted(
     normalizers: &Normalizers,
     output: &[Modality],
@@ -408,9 +390,6 @@ pub fn predicted(
 }
 
 /// Returns the values of each modality in `output` in physical units, `[batch, width]`; images channel by channel.
-///
-/// # Errors
-/// When the decoder has no such output.
 pub fn denormalized(
     normalizers: &Normalizers,
     output: &[Modality],

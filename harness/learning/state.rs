@@ -67,9 +67,6 @@ impl State {
     }
 
     /// Appends an epoch, and keeps a copy of the parameters if it is the best so far.
-    ///
-    /// # Errors
-    /// When a parameter can't be copied.
     pub fn record(&mut self, epoch: Epoch, parameters: &Parameters) -> CandleResult<()> {
         self.push(epoch);
         if self.best_epoch() == self.epochs.len() {
@@ -79,9 +76,6 @@ impl State {
     }
 
     /// Sets the parameters to those of the best epoch.
-    ///
-    /// # Errors
-    /// When a parameter can't be set.
     pub(crate) fn restore_best(&self, parameters: &Parameters) -> CandleResult<()> {
         self.best.iter().try_for_each(|(name, tensor)| match parameters.get(name) {
             Some(parameter) => parameter.set(tensor),
@@ -91,9 +85,6 @@ impl State {
 }
 
 /// Returns deep copies of the parameters, because training changes the parameters in place.
-///
-/// # Errors
-/// When a parameter can't be copied.
 pub fn copies(parameters: &Parameters) -> CandleResult<BTreeMap<String, Tensor>> {
     parameters.iter().map(|(name, var)| Ok((name.clone(), var.as_tensor().detach().copy()?))).collect()
 }
@@ -160,9 +151,6 @@ impl StateFile {
     }
 
     /// Saves the state if the time between saves has passed. Otherwise keeps it in memory.
-    ///
-    /// # Errors
-    /// When the state can't be copied or written.
     pub(crate) fn save_now_and_then(
         &self,
         state: &State,
@@ -178,9 +166,6 @@ impl StateFile {
 
     /// Saves the state of the last epoch, unless it has been saved already. `state` is that of the last call of
     /// [`save_now_and_then`](Self::save_now_and_then).
-    ///
-    /// # Errors
-    /// When the file can't be written.
     pub(crate) fn save_kept(&self, state: &State) -> Result<(), LearningError> {
         let (Some(path), Some((tensors, steps))) = (&self.path, self.kept.take()) else { return Ok(()) };
         let begin = Instant::now();

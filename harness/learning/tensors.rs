@@ -25,9 +25,6 @@ pub struct TensorFile {
 
 impl TensorFile {
     /// Writes the file with a seal. A failed write leaves no partial file.
-    ///
-    /// # Errors
-    /// When the file can't be written.
     pub fn write(&self, path: &Path) -> Result<(), LearningError> {
         let mut note = self.note.clone();
         note.insert(seal::KEY.into(), seal::BLANK.into());

@@ -146,9 +146,6 @@ pub struct Ridge {
 impl Ridge {
     /// Fits a regression from `x`, row-major `[samples, inputs]`, to `y`, `[samples, outputs]`. All samples are in
     /// memory.
-    ///
-    /// # Errors
-    /// Those of [`RidgeSums::add`] and [`RidgeSums::solve`].
     pub fn fit(
         x: &[f32],
         inputs: usize,

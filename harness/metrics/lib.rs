@@ -389,9 +389,6 @@ impl Evaluation {
 
     /// Adds a batch with regions. `parts` has the index of the region of each element, or of each pixel of an image,
     /// which all its channels share: `[samples, elements]` or `[samples, pixels]`.
-    ///
-    /// # Errors
-    /// Those of [`Evaluation::add`], and when `parts` has another number of samples.
     pub fn add_with_regions<'a>(
         &mut self,
         reference: &[f32],

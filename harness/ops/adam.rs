@@ -37,9 +37,6 @@ enum Moments {
 
 impl Adam {
     /// Creates an optimizer for `parameters`, with zero moments, no weight decay and no clipping.
-    ///
-    /// # Errors
-    /// When a moment can't be created on the device.
     pub fn new(parameters: Vec<Var>, learning_rate: f64) -> Result<Self> {
         let slots = parameters.into_iter().map(|parameter| {
             let zeros = parameter.zeros_like()?;
@@ -74,17 +71,11 @@ impl Adam {
 
     /// Returns the two moments (mean, mean square) of every parameter. They have its shape, and the order of the
     /// parameters.
-    ///
-    /// # Errors
-    /// When a moment can't be copied.
     pub fn moments(&self) -> Result<Vec<(Tensor, Tensor)>> {
         self.slots.iter().map(|slot| slot.moments.tensors(&slot.parameter)).collect()
     }
 
     /// Continues after another optimizer: sets the number of its steps, and its moments in the order of the parameters.
-    ///
-    /// # Errors
-    /// When the number or the shape of the moments is not that of the parameters.
     pub fn restore(&mut self, steps: u64, moments: &[(Tensor, Tensor)]) -> Result<()> {
         if moments.len() != self.slots.len() {
             candle_core::bail!("{} pairs of moments for {} parameters", moments.len(), self.slots.len());
@@ -100,9 +91,6 @@ impl Adam {
     }
 
     /// Takes one step. Parameters without a gradient do not change.
-    ///
-    /// # Errors
-    /// When a gradient has another shape.
     pub fn step(&mut self, gradients: &GradStore) -> Result<()> {
         self.steps += 1;
         #[cfg(feature = "cuda")]

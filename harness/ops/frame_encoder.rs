@@ -21,9 +21,6 @@ use std::sync::{Arc, OnceLock};
 /// `packed` holds the kernel `[channels, channels before, 4, 4]` and the bias `[channels]` of each convolution, one
 /// after the other. `weight` is `[outputs, values of the last layer]`. A ReLU follows each convolution. `dropout` is
 /// applied before the product.
-///
-/// # Errors
-/// When a tensor has another shape.
 pub fn frame_encoder(
     frames: Arc<dyn Frames>,
     stack: &Stack,

@@ -30,9 +30,6 @@ impl FrameDecoder {
 
 /// Decodes frames from `hidden` `[batch, hidden]`, and returns their mean squared error against `target` over all
 /// values of the batch, a scalar.
-///
-/// # Errors
-/// When a tensor has another shape.
 pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames>) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if hidden.device().is_cuda() {
@@ -46,9 +43,6 @@ pub fn frame_loss(hidden: &Tensor, decoder: FrameDecoder, target: Arc<dyn Frames
 
 /// Decodes frames from `hidden` `[batch, hidden]`, and returns `[batch, frame channels, rows, columns]`. The result
 /// has no gradient.
-///
-/// # Errors
-/// When a tensor has another shape.
 pub fn frame_decoder(hidden: &Tensor, decoder: &FrameDecoder) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if hidden.device().is_cuda() {

@@ -30,9 +30,6 @@ pub trait Frames: Send + Sync {
     }
 
     /// Returns the whole batch as a tensor `[batch, channels, rows, columns]`.
-    ///
-    /// # Errors
-    /// When the tensor can't be created on the device.
     fn tensor(&self, device: &Device) -> Result<Tensor>;
 }
 
@@ -57,9 +54,6 @@ pub struct DenseFrames {
 
 impl DenseFrames {
     /// Copies the values of a tensor `[batch, channels, rows, columns]`.
-    ///
-    /// # Errors
-    /// When the tensor has another number of dimensions.
     pub fn new(frames: &Tensor) -> Result<Self> {
         let (_, channels, rows, columns) = frames.dims4()?;
         Ok(Self::from_values(frames.flatten_all()?.to_vec1()?, channels, [rows, columns]))

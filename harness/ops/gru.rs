@@ -21,9 +21,6 @@ use std::sync::OnceLock;
 ///
 /// `inputs` are `[times * batch, columns]`. The rows of one time lie together. `start` is the state before the first
 /// time, `[batch, width]`.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn gru(
     inputs: &Tensor,
     input: Gated,

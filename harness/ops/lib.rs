@@ -128,9 +128,6 @@ pub fn input(values: Values, shape: impl Into<candle_core::Shape>, device: &Devi
 
 /// Returns the rows of `x` `[batch, width]`, each normalized to mean 0 and variance 1, multiplied by `weight` and added
 /// to `bias` (layer normalization). `epsilon` is added to the variance.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f32) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if x.device().is_cuda() {

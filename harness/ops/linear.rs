@@ -7,9 +7,6 @@ use harness_kernels::product::{Accumulate, Matrix, product};
 
 /// Returns `x wᵀ + b`, `[batch, out]`, with a ReLU if `relu`. `x` is `[batch, in]`, `w` is `[out, in]` and `b` is
 /// `[out]`.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn linear(x: &Tensor, w: &Tensor, b: &Tensor, relu: bool, arithmetic: Arithmetic) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if x.device().is_cuda() {

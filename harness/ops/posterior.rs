@@ -8,9 +8,6 @@ use harness_kernels::{self as kernels, exp, simd};
 ///
 /// `posterior` is `[batch, 2 * latent]`, the means followed by the log-variances. `noise` and the result are
 /// `[batch, latent]`.
-///
-/// # Errors
-/// When the noise has another shape.
 pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if posterior.device().is_cuda() {
@@ -22,9 +19,6 @@ pub fn sample(posterior: &Tensor, noise: &Tensor) -> Result<Tensor> {
 /// Returns the Kullback-Leibler divergence from the standard normal distribution (Kingma & Welling, 2014, appendix B).
 /// It is summed over the latent state and averaged over the batch. The result is a scalar, in nats. `posterior` is as
 /// in [`sample`].
-///
-/// # Errors
-/// When the tensor has no columns.
 pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
     #[cfg(feature = "cuda")]
     if posterior.device().is_cuda() {
@@ -35,9 +29,6 @@ pub fn kl_divergence(posterior: &Tensor) -> Result<Tensor> {
 
 /// Returns the Kullback-Leibler divergence of each dimension from a prior, or from the standard normal distribution,
 /// `[batch, latent]`, in nats. Both are as in [`sample`].
-///
-/// # Errors
-/// When the shapes differ.
 pub fn divergences(posterior: &Tensor, prior: Option<&Tensor>) -> Result<Tensor> {
     let (mean, log_variance) = halves(posterior)?;
     let twice = match prior {
@@ -57,9 +48,6 @@ pub fn divergences(posterior: &Tensor, prior: Option<&Tensor>) -> Result<Tensor>
 ///
 /// The prior learns from the divergence, and the posterior from the same divergence with the weight `representation`.
 /// Rows with a divergence below `free` nats count as `free`, and neither learns from them.
-///
-/// # Errors
-/// When the shapes differ.
 pub fn balanced_divergence(
     posterior: &Tensor,
     prior: &Tensor,

@@ -23,9 +23,6 @@ use std::sync::OnceLock;
 /// The memory is that of a gated recurrent unit (see [`gru`](super::gru())), which takes the last latent state and the
 /// action after it. The latent state is drawn as in [`sample`]. `memory` `[batch, width]` and `latent`
 /// `[batch, latent]` are those before the first time.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn rssm(
     given: &Sequences,
     parameters: &StateSpace,

@@ -16,9 +16,6 @@ use std::sync::OnceLock;
 const PARTS: usize = 4;
 
 /// Returns `relu(x hidden_weightᵀ + hidden_bias) weightᵀ + bias`, `[batch, out]`, for `x` `[batch, in]`.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn two_layers(x: &Tensor, layers: TwoLayers, arithmetic: Arithmetic) -> Result<Tensor> {
     let TwoLayers { hidden_weight, hidden_bias, weight, bias } = layers;
     if !x.device().is_cpu() {

@@ -8,9 +8,6 @@ use harness_spec::Loss;
 /// Returns the mean loss of each quantity over its columns and the rows of each part of the batch, `[quantities,
 /// parts]`. The `quantities` divide the columns of `predicted` and `target`, both `[batch, width]`, from left to right.
 /// The `parts` divide the rows equally, from the first to the last.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn vector_losses(
     predicted: &Tensor,
     target: &Tensor,
@@ -29,9 +26,6 @@ pub fn vector_losses(
 }
 
 /// Computes the loss of each error with candle's operations.
-///
-/// # Errors
-/// When candle can't compute an operation.
 pub fn composed(loss: Loss, errors: &Tensor) -> Result<Tensor> {
     match loss {
         Loss::Squared => errors.sqr(),

@@ -26,9 +26,6 @@ pub struct Claimed<'a> {
 
 impl Registry {
     /// Locks a run's folder. Returns `None` if another process or thread holds the lock.
-    ///
-    /// # Errors
-    /// When the lock file can't be created or locked.
     pub fn claim<'a>(&'a self, folder: &'a RunFolder) -> Result<Option<Claimed<'a>>, RegistryError> {
         let lock = FolderLock::attempt(&folder.path)?;
         Ok(lock.map(|lock| Claimed { registry: self, folder, lock }))
@@ -36,9 +33,6 @@ impl Registry {
 
     /// Removes a folder that the caller has locked. It is renamed first, so that an interruption leaves no part of it
     /// under its name.
-    ///
-    /// # Errors
-    /// When it can't be renamed or removed.
     pub fn discard(&self, folder: &Path, lock: FolderLock) -> Result<(), WriteError> {
         let aside = tempfile::Builder::new().prefix(&set_aside_prefix()).tempdir_in(&self.root);
         let aside = aside.map_err(|source| WriteError { path: folder.to_owned(), source })?.keep();
@@ -131,9 +125,6 @@ impl Claimed<'_> {
     }
 
     /// Copies the file of a model of another program to this run.
-    ///
-    /// # Errors
-    /// When the file can't be read or written.
     pub fn attach(&self, file: &Path, name: &str) -> Result<(), RegistryError> {
         Ok(write_whole(&self.folder.path.join(name), |copy| std::fs::copy(file, copy).map(drop))?)
     }
@@ -146,9 +137,6 @@ impl Claimed<'_> {
     }
 
     /// Writes the record of a failed run, with the reason.
-    ///
-    /// # Errors
-    /// When the record can't be written.
     pub fn fail(&self, record: RunRecord, reason: &str) -> Result<(), RegistryError> {
         let (reason, peak_memory_bytes) = (Some(reason.to_owned()), peak_memory_bytes());
         let record = RunRecord { status: Status::Failed, reason, peak_memory_bytes, ..record };
@@ -157,9 +145,6 @@ impl Claimed<'_> {
 
     /// Writes a run's tables, then its record with the status `done`, and removes the saved states of its training,
     /// unless successive halving may continue it.
-    ///
-    /// # Errors
-    /// When a file can't be written, or a file that the record lists can't be read.
     pub fn finish(&self, record: RunRecord, outcome: &Outcome) -> Result<(), RegistryError> {
         let record = RunRecord {
             status: Status::Done,
@@ -183,9 +168,6 @@ impl Claimed<'_> {
 
     /// Replaces tables of a finished run, and lists them in its record. A run whose process is killed meanwhile is
     /// intact, because the record lists both the old file and the new one until all are replaced.
-    ///
-    /// # Errors
-    /// When a table has other columns, or a file can't be written.
     pub fn replace_tables(
         &self,
         record: RunRecord,
@@ -215,9 +197,6 @@ impl Claimed<'_> {
     /// Writes a published copy of a run to its folder in this registry: whole files by name, and rows of tables. A
     /// table without rows has no file. Removes the file of the lock, because copies are meant for version control, and
     /// leaves `--results` out of the recorded command. Returns the record of the copy.
-    ///
-    /// # Errors
-    /// When a file can't be written.
     pub fn copy(
         self,
         record: &RunRecord,

@@ -16,9 +16,6 @@ const OF_RUN: [&str; 2] = ["architecture", "latent"];
 ///
 /// In tables of metrics of earlier versions, the model of another program was called `network`, like the networks that
 /// were trained here. They are read as if this version had written them.
-///
-/// # Errors
-/// When a column is missing, or the file can't be decoded.
 pub fn read_columns(bytes: &[u8], columns: &[String]) -> PolarsResult<DataFrame> {
     let needs = |name: &str| columns.iter().any(|column| column == name);
     if !needs(MODEL) && !needs(TRAINED_HERE) || names(bytes)?.iter().any(|name| name == TRAINED_HERE) {
@@ -57,9 +54,6 @@ fn names(bytes: &[u8]) -> PolarsResult<Vec<String>> {
 
 impl RunRecord {
     /// Reads a table of the run, and compares its file with the record.
-    ///
-    /// # Errors
-    /// When the record does not list the file, or the file is damaged.
     pub fn table(&self, folder: &Path, table: Table) -> Result<DataFrame, RegistryError> {
         let name = table.file_name();
         let columns: Vec<String> = table.columns().into_iter().map(|column| column.name).collect();

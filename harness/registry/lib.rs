@@ -197,9 +197,6 @@ impl Registry {
     }
 
     /// Checks that files can be written to the results folder, with a temporary file. Creates the folder.
-    ///
-    /// # Errors
-    /// When the folder or a file in it can't be created.
     pub fn check_writable(&self) -> Result<(), RegistryError> {
         let unwritable = |source| WriteError { path: self.root.clone(), source };
         if self.root.is_file() {
@@ -304,9 +301,6 @@ impl RunFolder {
     }
 
     /// The run's record, or `None` if the run has not started.
-    ///
-    /// # Errors
-    /// When the record is damaged, or is that of another run.
     pub fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
         let path = self.path.join(RECORD);
         match RunRecord::read(&path)? {

@@ -77,9 +77,6 @@ pub fn live_epochs(folder: &Path) -> Vec<(Task, Epoch)> {
 }
 
 /// The rows of the table `epochs` of a running run.
-///
-/// # Errors
-/// When Polars fails.
 pub fn live_table(folder: &Path, record: &RunRecord) -> PolarsResult<DataFrame> {
     record.with_key(epochs_columns(&live_epochs(folder)))
 }

@@ -9,9 +9,6 @@ use polars::prelude::*;
 
 impl RunFolder {
     /// The losses on the validation samples of a finished run, in the order of the epochs.
-    ///
-    /// # Errors
-    /// When the table `epochs` is damaged or missing.
     pub fn validation_losses(&self, record: &RunRecord, task: Task) -> Result<Vec<Losses>, RegistryError> {
         let name = Table::Epochs.file_name();
         let path = self.path.join(&name);

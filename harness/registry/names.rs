@@ -27,9 +27,6 @@ impl Registry {
 
     /// Returns the runs of the experiment `wanted`. If there is no such experiment, returns the runs whose id, or
     /// `experiment/id` if `wanted` has a slash, begins with it. The path of a folder of runs is allowed, too.
-    ///
-    /// # Errors
-    /// When there is none.
     pub fn matching(&self, wanted: &str) -> Result<Vec<Recorded>, RegistryError> {
         let wanted = &*self.name_of(wanted);
         let mut recorded = self.recorded();

@@ -120,9 +120,6 @@ impl FileRecord {
     }
 
     /// Reads the file at `path`.
-    ///
-    /// # Errors
-    /// When the file can't be read, or its size or checksum is not this one.
     pub fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
         let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
         let bytes = match std::fs::read(path) {
@@ -346,9 +343,6 @@ impl RunRecord {
     }
 
     /// The record with a list of these files of the run, as they are now.
-    ///
-    /// # Errors
-    /// When a file can't be read.
     pub(super) fn with_files(self, folder: &RunFolder, names: Vec<String>) -> Result<Self, RegistryError> {
         let mut files = BTreeMap::new();
         for name in names {
@@ -389,9 +383,6 @@ impl RunRecord {
     }
 
     /// Reads a file and compares it with its entry in the record.
-    ///
-    /// # Errors
-    /// Like [`check_file`](Self::check_file).
     pub fn read_file(&self, folder: &Path, name: &str) -> Result<Vec<u8>, RegistryError> {
         self.listed(folder, name)?.read(&folder.join(name))
     }
@@ -458,9 +449,6 @@ impl RunRecord {
     }
 
     /// Reads a record, or returns `None` if the file does not exist.
-    ///
-    /// # Errors
-    /// When the file can't be read, its seal does not match, or it is no record.
     pub fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
         let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
         match seal::read(path) {
@@ -534,9 +522,6 @@ fn key_columns(records: &[RunRecord]) -> Vec<Column> {
 }
 
 /// The `runs` table, with a row for each record. A query that does not read the hashes does not compute them.
-///
-/// # Errors
-/// When Polars fails.
 pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
     /// The position of a row's record.
     const RECORD: &str = "record";

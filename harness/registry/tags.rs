@@ -32,9 +32,6 @@ pub fn check_tag(name: &str) -> Result<(), RegistryError> {
 }
 
 /// The tags of each row of a table of runs, with spaces between them; `None` for a run without a tag.
-///
-/// # Errors
-/// When the table lacks the columns `experiment` and `run`.
 pub fn tags_of(runs: &DataFrame, tags: &Tags) -> PolarsResult<Vec<Option<String>>> {
     let names = runs.column("experiment")?.str()?.iter().zip(runs.column("run")?.str()?.iter());
     let of_run = |(experiment, run): (Option<&str>, Option<&str>)| {
@@ -46,9 +43,6 @@ pub fn tags_of(runs: &DataFrame, tags: &Tags) -> PolarsResult<Vec<Option<String>
 
 impl Registry {
     /// The tags of all runs, also of runs that were removed.
-    ///
-    /// # Errors
-    /// When the file of the tags is damaged.
     pub fn tags(&self) -> Result<Tags, RegistryError> {
         let path = self.tags_file();
         let damaged = |reason: String| RegistryError::Tags { path: path.clone(), reason };

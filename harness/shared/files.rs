@@ -38,9 +38,6 @@ pub struct WriteError {
 ///
 /// A reader of `path` sees the old file, the new file or no file, but never an incomplete file. If `path` is a device
 /// or a pipe, `write` is called with it.
-///
-/// # Errors
-/// When the file can't be written or renamed, or `write` fails.
 pub fn write_whole(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), WriteError> {
     let attempt = || {
         // A link stays, and the file that it points to is replaced. A device or a pipe is written to.
@@ -91,9 +88,6 @@ pub fn abandoned(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// Removes an unfinished file, unless a process is writing it. Returns whether there is no such file any more.
-///
-/// # Errors
-/// When the file can't be removed.
 pub fn remove_abandoned(path: &Path) -> Result<bool, WriteError> {
     let Some(_lock) = lock_of_abandoned(path) else { return Ok(!path.exists()) };
     std::fs::remove_file(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
@@ -148,9 +142,6 @@ pub fn folders(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// Writes `bytes` to a file, completely or not at all.
-///
-/// # Errors
-/// When the file can't be written or renamed.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_whole(path, |file| std::fs::write(file, bytes))
 }

@@ -31,9 +31,6 @@ pub enum SealError {
 }
 
 /// Seals the bytes of a file that contains [`BLANK`]. If it occurs several times, the last one is replaced.
-///
-/// # Errors
-/// When the bytes do not contain [`BLANK`].
 pub fn seal(bytes: &mut [u8]) -> Result<(), SealError> {
     let at = memchr::memmem::rfind(bytes, BLANK.as_bytes()).ok_or(SealError::Missing)?;
     let digest = hex(&Sha256::digest(&*bytes));
@@ -42,9 +39,6 @@ pub fn seal(bytes: &mut [u8]) -> Result<(), SealError> {
 }
 
 /// Compares a file's bytes with their seal.
-///
-/// # Errors
-/// When there is no seal, or it is not that of the bytes.
 pub fn check(bytes: &[u8]) -> Result<(), SealError> {
     let at = memchr::memmem::rfind(bytes, PREFIX.as_bytes()).ok_or(SealError::Missing)? + PREFIX.len();
     let found = bytes.get(at..at + DIGITS).ok_or(SealError::Missing)?;
@@ -56,9 +50,6 @@ pub fn check(bytes: &[u8]) -> Result<(), SealError> {
 }
 
 /// Seals `bytes` and writes them to a file, completely or not at all.
-///
-/// # Errors
-/// When the file can't be written.
 pub fn write(path: &Path, mut bytes: Vec<u8>) -> Result<(), WriteError> {
     seal(&mut bytes)
         .map_err(|error| WriteError { path: path.to_owned(), source: std::io::Error::other(error) })?;
@@ -66,9 +57,6 @@ pub fn write(path: &Path, mut bytes: Vec<u8>) -> Result<(), WriteError> {
 }
 
 /// Reads a sealed file. Fails if its seal is missing or does not match.
-///
-/// # Errors
-/// When the file can't be read, or its seal is missing or wrong.
 pub fn read(path: &Path) -> Result<Vec<u8>, SealError> {
     let bytes = std::fs::read(path)?;
     check(&bytes)?;

@@ -69,17 +69,11 @@ impl Batch {
     }
 
     /// Advances each simulation to its next sample along the plan of its episode.
-    ///
-    /// # Errors
-    /// When a simulation diverges.
     pub fn follow(&mut self) -> Result<(), SimulationError> {
         self.each(|_, simulation| simulation.follow())
     }
 
     /// Writes a camera's images, `[count, rows, columns, 3]`, to `frames`.
-    ///
-    /// # Errors
-    /// See [`LiveSimulation::image`].
     pub fn image(&mut self, modality: Modality, frames: &mut [u8]) -> Result<(), SimulationError> {
         let size = frames.len() / self.simulations.len();
         match self.simulations.as_mut_slice() {

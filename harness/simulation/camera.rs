@@ -61,9 +61,6 @@ impl Camera {
     }
 
     /// Renders the state and returns its RGB pixels, top row first, `[height, width, 3]`.
-    ///
-    /// # Errors
-    /// When OpenGL fails.
     pub fn capture<M: ModelType>(&mut self, data: &mut MjData<M>) -> Result<&[u8], SimulationError> {
         self.renderer.sync_data(data).map_err(SimulationError::Render)?;
         self.renderer.render().map_err(SimulationError::Render)?;
@@ -264,9 +261,6 @@ impl<'s> SceneRenderer<'s> {
     }
 
     /// Returns the position of a geom's center in the world in the last picture, m.
-    ///
-    /// # Errors
-    /// When the scene has no such geom.
     pub fn place_of(&self, geom: &str) -> Result<[f64; 3], SimulationError> {
         Ok(self.data.geom_xpos()[self.scene.id(MjtObjBase::mjOBJ_GEOM, "geom", geom)?])
     }

@@ -78,9 +78,6 @@ impl Finding {
 
 /// Simulates the first `episodes` of a world without rendering, and returns what tells whether it is fit for learning.
 /// Every world has the same findings in the same order. They do not depend on the number of threads.
-///
-/// # Errors
-/// When the boxes find no place, or the simulation diverges.
 pub fn fitness(scene: &Scene, episodes: u32) -> Result<Vec<Finding>, SimulationError> {
     let spec = scene.world().simulation();
     let seen = (0..episodes).into_par_iter().map(|episode| watch(scene, &spec, episode));

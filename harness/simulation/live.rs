@@ -62,9 +62,6 @@ impl LiveSimulation {
 
     /// Resets the simulation to the start of an episode: the one with the index `episode` in the dataset with this
     /// seed.
-    ///
-    /// # Errors
-    /// When the boxes find no place, or the simulation diverges.
     pub fn reset(&mut self, seed: u64, episode: u32) -> Result<(), SimulationError> {
         self.spec.seed = seed;
         self.plan = EpisodePlan::draw(self.physics.scene, &self.spec, episode)?;

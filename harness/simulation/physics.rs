@@ -220,9 +220,6 @@ impl<'s> Physics<'s> {
     }
 
     /// Simulates one episode from rest.
-    ///
-    /// # Errors
-    /// When the simulation diverges, or the observer returns an error.
     pub fn run(&mut self, plan: &EpisodePlan, observe: &mut Observer<'_>) -> Result<(), SimulationError> {
         self.start(plan);
         for _ in 0..self.timing.samples {
@@ -234,9 +231,6 @@ impl<'s> Physics<'s> {
     }
 
     /// Simulates up to the next sampled instant along the plan of the episode.
-    ///
-    /// # Errors
-    /// When the simulation diverges.
     pub fn follow(&mut self, plan: &EpisodePlan) -> Result<(), SimulationError> {
         self.advance_by(|physics, setpoint| {
             plan.setpoint(physics.probe.map_or(physics.step, |probe| probe.clock), setpoint);
@@ -244,9 +238,6 @@ impl<'s> Physics<'s> {
     }
 
     /// Simulates up to the next sampled instant. `setpoint` writes the setpoint of each step, counted from the start.
-    ///
-    /// # Errors
-    /// When the simulation diverges.
     pub fn advance(&mut self, setpoint: impl Fn(usize, &mut [f64])) -> Result<(), SimulationError> {
         self.advance_by(|physics, values| setpoint(physics.step, values))
     }
@@ -257,9 +248,6 @@ impl<'s> Physics<'s> {
     /// MuJoCo's step computes the forces and poses of the instant at which it starts, and then advances the positions.
     /// A sample therefore takes its positions before a step and everything else after it, at no extra cost. With the
     /// Runge-Kutta integrator, and where bodies may fall asleep, a copy of the state computes them instead.
-    ///
-    /// # Errors
-    /// When the simulation diverges.
     fn advance_by(&mut self, setpoint: impl Fn(&Self, &mut [f64])) -> Result<(), SimulationError> {
         loop {
             let is_sample = self.step.is_multiple_of(self.timing.steps_per_sample);

@@ -124,9 +124,6 @@ impl Scene {
     }
 
     /// Compiles MJCF text for a world. The text must not use other files. Messages call it `name`.
-    ///
-    /// # Errors
-    /// For the reasons of [`Scene::new`], except that no file is read.
     pub fn from_xml(world: Arc<World>, xml: &str, name: String) -> Result<Self, SimulationError> {
         prepare()?;
         let model = load_text(xml, &name)?;
@@ -135,9 +132,6 @@ impl Scene {
 
     /// Returns the scene of a world, which is kept until the process ends. Calls with the same world return the same
     /// scene as long as neither the world nor its model changes.
-    ///
-    /// # Errors
-    /// See [`Scene::new`].
     pub fn shared(world: Arc<World>) -> Result<&'static Self, SimulationError> {
         static SCENES: Mutex<Vec<&'static Scene>> = Mutex::new(Vec::new());
         let scene = Self::new(world)?;
@@ -220,9 +214,6 @@ impl Scene {
     }
 
     /// Returns the time grid of an episode.
-    ///
-    /// # Errors
-    /// For the reasons of [`Scene::check`].
     pub(super) fn timing(&self, spec: &Simulation) -> Result<Timing, SimulationError> {
         let ranges = self.ranges(spec);
         for (&[low, high], driven) in ranges.iter().zip(&self.actuators) {

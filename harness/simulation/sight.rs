@@ -63,9 +63,6 @@ impl Sight {
     }
 
     /// Draws a state.
-    ///
-    /// # Errors
-    /// When OpenGL fails.
     pub fn look<M: ModelType>(&mut self, data: &mut MjData<M>) -> Result<(), SimulationError> {
         self.scene.update(data, &self.option, &MjvPerturb::default(), &mut self.camera);
         self.make_current()?;

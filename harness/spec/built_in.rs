@@ -85,9 +85,6 @@ impl From<BuiltIn> for YamlFile {
 /// Finds a file by its path, or by its name without folder and extension. The name `NAME` stands for the first of
 /// these that exists: the file `NAME.yaml`, the file `experiments/NAME.yaml`, and the file of this name in `built_in`.
 /// Messages call such a file a `what`.
-///
-/// # Errors
-/// When there is no such file, or it can't be read as text.
 pub fn find(what: &str, path: &Path, built_in: &[BuiltIn]) -> Result<YamlFile, SpecError> {
     let is_file = path.exists() && !path.is_dir();
     match path.to_str() {
@@ -122,9 +119,6 @@ fn by_name(what: &str, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, Spe
 
 /// Finds the file that `file` names: one relative to its folder, or else one of `built_in`. A built-in file names only
 /// those, whatever the current folder has.
-///
-/// # Errors
-/// When there is no such file, or it can't be read as text.
 pub(super) fn beside(file: &YamlFile, name: &str, built_in: &[BuiltIn]) -> Result<YamlFile, SpecError> {
     let path = file.folder.join(name);
     match named(Path::new(name).file_stem(), built_in) {

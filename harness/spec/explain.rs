@@ -29,9 +29,6 @@ pub struct Sourced {
 }
 
 /// Returns the settings of an experiment for each of its variants. The arguments are those of [`load`](super::load).
-///
-/// # Errors
-/// See [`load`](super::load).
 pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Explained>, SpecError> {
     let file = find("experiment", path, SPECS)?;
     let mut worlds = WorldFiles { folder: &file.folder, purpose: Purpose::Training, read: BTreeMap::new() };

@@ -73,18 +73,12 @@ pub fn load(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment
 
 /// Resolves a spec like [`load`], but not for training: to collect its data, or to judge models of other programs. The
 /// spec may lack `latent` and `network`, and rules of networks do not apply to it.
-///
-/// # Errors
-/// See [`load`].
 pub fn load_task(path: &Path, overrides: &[String], quick: bool) -> Result<Experiment, SpecError> {
     parse_in(&find("experiment", path, SPECS)?, overrides, quick, Purpose::Task)
 }
 
 /// Resolves a spec like [`load`], but from its text. Messages call the text `path`, and the paths of world files are
 /// relative to the folder of `path`.
-///
-/// # Errors
-/// See [`load`].
 pub fn parse_spec(
     path: &str,
     text: &str,
@@ -95,9 +89,6 @@ pub fn parse_spec(
 }
 
 /// Resolves a spec like [`load_task`], but from its text, as [`parse_spec`] does.
-///
-/// # Errors
-/// See [`load`].
 pub fn parse_task(path: &str, text: &str) -> Result<Experiment, SpecError> {
     parse_in(&file_of(path, text), &[], false, Purpose::Task)
 }

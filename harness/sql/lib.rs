@@ -55,15 +55,9 @@ pub trait Tables: Sync {
     fn list(&self) -> Vec<(&'static str, &'static str)>;
 
     /// The answer of DESCRIBE: a row for each column of a table.
-    ///
-    /// # Errors
-    /// When the columns can't be determined.
     fn columns(&self, table: &str) -> PolarsResult<DataFrame>;
 
     /// The rows of a table. Rows that satisfy none of the query's [`conditions`](Query::conditions) may be left out.
-    ///
-    /// # Errors
-    /// When the table can't be read.
     fn rows(&self, table: &str, query: &Query) -> PolarsResult<LazyFrame>;
 }
 
@@ -101,9 +95,6 @@ impl Query {
     }
 
     /// Answers the query. The rows of each table that it reads are asked for once.
-    ///
-    /// # Errors
-    /// When the query is not supported, or when `tables` or Polars fails.
     pub fn answer(&self, tables: &dyn Tables) -> Result<DataFrame, SqlError> {
         on_large_stack(|| self.answered(tables))
     }

@@ -158,9 +158,6 @@ fn unfinished(registry: &Registry) -> Vec<PathBuf> {
 ///
 /// The folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes
 /// what an interruption left.
-///
-/// # Errors
-/// When it can't be locked, renamed or removed.
 pub fn remove(registry: &Registry, item: &Removable) -> Result<Option<String>, RegistryError> {
     if !item.path.exists() {
         return Ok(None);

@@ -123,9 +123,6 @@ pub fn check_against(root: &Json, tree: &Node, hints: &Hints) -> Result<(), Prob
 }
 
 /// Like [`check_against`], for a tree that a part of the schema describes. `root` has the definitions.
-///
-/// # Errors
-/// See [`check_against`].
 pub fn check_part(root: &Json, part: &Json, tree: &Node, hints: &Hints) -> Result<(), Problem> {
     Check { root, hints }.node(part, tree, "")
 }

@@ -353,9 +353,6 @@ impl Description {
     }
 
     /// Describes the network that `architecture` builds for `task`.
-    ///
-    /// # Errors
-    /// When a layer can't be described.
     pub fn new(
         architecture: &Architecture,
         task: Task,

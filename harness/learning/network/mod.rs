@@ -74,9 +74,6 @@ pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, tas
 
 impl Architecture {
     /// Creates the network that predicts. Its parameters are added to `parameters`, those of the encoder first.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn network(
         &self,
         parameters: &mut Parameters,
@@ -99,9 +96,6 @@ impl Architecture {
     }
 
     /// Creates an encoder. Its parameters are added to `parameters`, under names that begin with `encoder.`.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn encoder(
         &self,
         parameters: &mut Parameters,
@@ -112,9 +106,6 @@ impl Architecture {
     }
 
     /// Creates a decoder. Its parameters are added to `parameters`, under names that begin with `decoder.`.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     pub fn decoder(
         &self,
         parameters: &mut Parameters,
@@ -125,9 +116,6 @@ impl Architecture {
     }
 
     /// Lists all layers with parameters in the order in which they are applied. Creates no parameters.
-    ///
-    /// # Errors
-    /// When a layer can't be described.
     pub fn summary(&self) -> Result<Summary> {
         let trained = |mut layers: Vec<Layer>| {
             layers.retain(|layer| layer.parameters > 0);
@@ -147,27 +135,18 @@ impl Architecture {
     }
 
     /// Describes the encoder's layers in the order in which they are applied. Creates no parameters.
-    ///
-    /// # Errors
-    /// When a layer can't be described.
     pub fn encoder_layers(&self) -> Result<Vec<Layer>> {
         encoder::build(self, &mut self.builder("encoder", Made::Shapes))?.layers()
     }
 
     /// Describes the memory's layers in the order in which they are applied; none without memory. Creates
     /// no parameters.
-    ///
-    /// # Errors
-    /// When a layer can't be described.
     pub fn memory_layers(&self) -> Result<Vec<Layer>> {
         let unit = recurrent::unit(self, self.builder("memory", Made::Shapes))?;
         unit.map_or_else(|| Ok(Vec::new()), |unit| unit.layers())
     }
 
     /// Describes the decoder's layers in the order in which they are applied. Creates no parameters.
-    ///
-    /// # Errors
-    /// When a layer can't be described.
     pub fn decoder_layers(&self) -> Result<Vec<Layer>> {
         decoder::build(self, &mut self.builder("decoder", Made::Shapes))?.layers()
     }
@@ -215,9 +194,6 @@ pub(crate) fn context(network: &dyn Network, window: &Window) -> usize {
 
 impl State {
     /// Returns the states of several batches as one batch, `[states * batch, …]`.
-    ///
-    /// # Errors
-    /// When a part is missing in one of them.
     pub(crate) fn joined(states: &[Self]) -> Result<Self> {
         if let [only] = states {
             return Ok(only.clone());
@@ -241,9 +217,6 @@ impl State {
     }
 
     /// Returns the states of the last `batch` rows, without gradients.
-    ///
-    /// # Errors
-    /// When there are fewer rows.
     pub(crate) fn last(&self, batch: usize) -> Result<Self> {
         let all = self.latent.dim(0)?;
         let Some(first) = all.checked_sub(batch) else { candle_core::bail!("there are {all} states") };
@@ -257,9 +230,6 @@ impl State {
     }
 
     /// Returns the states of these rows of the batch.
-    ///
-    /// # Errors
-    /// When the batch has no such row.
     pub(crate) fn rows(&self, rows: &[u32]) -> Result<Self> {
         let rows = Tensor::new(rows, self.latent.device())?;
         let part = |of: &Option<Tensor>| of.as_ref().map(|values| values.index_select(&rows, 0)).transpose();
@@ -322,9 +292,6 @@ impl Draw<'_> {
     }
 
     /// Returns latent states of a posterior, `[batch, latent]`.
-    ///
-    /// # Errors
-    /// When the noise can't be copied to the posterior's device.
     pub fn latent(&mut self, posterior: &Posterior) -> Result<Tensor> {
         match self.noise(posterior.0.dim(0)?, posterior.latent()?, posterior.0.device())? {
             Some(noise) => posterior.sample(&noise),
@@ -333,9 +300,6 @@ impl Draw<'_> {
     }
 
     /// Returns standard normal noise for drawing latent states, `[batch, latent]`; `None` for the mean.
-    ///
-    /// # Errors
-    /// When the noise can't be copied to the device.
     pub fn noise(&mut self, batch: usize, latent: usize, device: &Device) -> Result<Option<Tensor>> {
         match self {
             Self::Sample { random, .. } => {
@@ -351,9 +315,6 @@ impl Draw<'_> {
 /// normalized.
 pub trait Network: Send + Sync {
     /// Returns the state before an episode's first sample; `None` if the network has no memory.
-    ///
-    /// # Errors
-    /// When a tensor can't be created on the device.
     fn start(&self, batch: usize, device: &Device) -> Result<Option<State>>;
 
     /// Encodes samples, each by itself, `[samples, width]`.
@@ -378,9 +339,6 @@ pub trait Network: Send + Sync {
     /// Sees whole sequences, and returns the states that predict the sample after each. `encoded` are the samples of
     /// `batch` sequences, `[times * batch, width]`, and `actions` those after each of them. The rows of one time lie
     /// together. `state` is the one before the first time.
-    ///
-    /// # Errors
-    /// Those of [`observe`](Self::observe) and [`act`](Self::act).
     fn unroll(
         &self,
         batch: usize,
@@ -400,16 +358,10 @@ pub trait Network: Send + Sync {
     }
 
     /// Returns the predicted sample. Its images have no gradient.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
     fn decode(&self, state: &State) -> Result<Decoded>;
 
     /// Returns the states of samples that are not seen, after the actions that follow them: `actions` `[times * batch,
     /// elements]`, the rows of one time together. The first sample is the one that `state` predicts.
-    ///
-    /// # Errors
-    /// Those of [`act`](Self::act).
     fn imagine(&self, state: &State, actions: &Tensor) -> Result<State> {
         let (mut states, batch) = (Vec::<State>::new(), state.latent.dim(0)?);
         for first in (0..actions.dim(0)?).step_by(batch) {
@@ -419,9 +371,6 @@ pub trait Network: Send + Sync {
     }
 
     /// Returns the mean loss of each output modality of the predicted sample.
-    ///
-    /// # Errors
-    /// When a target is missing.
     fn losses(&self, state: &State, targets: Targets) -> Result<Vec<Term>>;
 
     /// Returns the same network over the same parameters, for which no gradients are computed.
@@ -431,15 +380,9 @@ pub trait Network: Send + Sync {
 /// Maps an observation to a posterior over the latent state.
 pub trait Encoder: Send + Sync {
     /// Returns the posterior of a batch. `dropout` is applied to the output of the convolutions.
-    ///
-    /// # Errors
-    /// When a part of the observation is missing or has another shape.
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior>;
 
     /// Returns the posterior of a batch, without dropout.
-    ///
-    /// # Errors
-    /// Like [`encode_with_dropout`](Self::encode_with_dropout).
     fn encode(&self, observation: &Observation) -> Result<Posterior> {
         self.encode_with_dropout(observation, None)
     }
@@ -448,36 +391,24 @@ pub trait Encoder: Send + Sync {
     fn detached(&self) -> Box<dyn Encoder>;
 
     /// Describes the layers in the order in which they are applied.
-    ///
-    /// # Errors
-    /// When the shape of a parameter is not that of its layer.
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 
 /// Maps a latent state, and an action if the decoder has one, to an observation.
 pub trait Decoder: Send + Sync {
     /// Returns the normalized observation. On the CPU its frames have no gradient.
-    ///
-    /// # Errors
-    /// When a tensor has another shape.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
 
     /// Returns the decoded vectors with their widths, in the order of the decoder's last layer.
     fn vectors(&self) -> &[(Modality, usize)];
 
     /// Returns the mean loss of every output modality against `targets`, on normalized values.
-    ///
-    /// # Errors
-    /// When a tensor has another shape.
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>>;
 
     /// Returns the same decoder over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Decoder>;
 
     /// Describes the layers in the order in which they are applied.
-    ///
-    /// # Errors
-    /// When the shape of a parameter is not that of its layer.
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 
@@ -540,79 +471,52 @@ pub struct Posterior(Tensor);
 
 impl Posterior {
     /// Returns the distribution with these means and log-variances, `[batch, latent]` each.
-    ///
-    /// # Errors
-    /// When the shapes differ.
     pub fn new(mean: &Tensor, log_variance: &Tensor) -> Result<Self> {
         Tensor::cat(&[mean, log_variance], 1).map(Self)
     }
 
     /// Returns the size of the latent state.
-    ///
-    /// # Errors
-    /// When the tensor has no columns.
     pub fn latent(&self) -> Result<usize> {
         Ok(self.0.dim(1)? / 2)
     }
 
     /// Returns the means, `[batch, latent]`.
-    ///
-    /// # Errors
-    /// When the tensor has no columns.
     pub fn mean(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, 0, latent)?.contiguous()
     }
 
     /// Returns the log-variances, `[batch, latent]`.
-    ///
-    /// # Errors
-    /// When the tensor has no columns.
     pub fn log_variance(&self) -> Result<Tensor> {
         let latent = self.latent()?;
         self.0.narrow(1, latent, latent)?.contiguous()
     }
 
     /// Draws latent states, `[batch, latent]`. `noise` is standard normal and has the same shape.
-    ///
-    /// # Errors
-    /// When the noise has another shape.
     pub fn sample(&self, noise: &Tensor) -> Result<Tensor> {
         ops::sample(&self.0, noise)
     }
 
     /// Returns the divergence from `prior` as a loss of both, averaged over the batch; a scalar, in nats. The posterior
     /// learns with the weight `representation`. Rows below `free` nats count as `free`.
-    ///
-    /// # Errors
-    /// When the distributions have different shapes.
     pub fn balanced_divergence(&self, prior: &Self, free: f64, representation: f64) -> Result<Tensor> {
         ops::balanced_divergence(&self.0, &prior.0, free, representation)
     }
 
     /// Returns the divergence of each dimension from `prior`, or from the standard normal distribution, in nats,
     /// `[batch, latent]`. `None` if latent states are drawn, because only tests need it.
-    ///
-    /// # Errors
-    /// When the distributions have different shapes.
     fn divergences(&self, prior: Option<&Self>, draw: &Draw) -> Result<Option<Tensor>> {
         let of_mean = matches!(draw, Draw::Mean);
         of_mean.then(|| ops::divergences(&self.0, prior.map(|prior| &prior.0))).transpose()
     }
 
     /// Returns the divergence from the standard normal distribution in nats, averaged over the batch; a scalar.
-    ///
-    /// # Errors
-    /// When the tensor has no columns.
     pub fn kl_divergence(&self) -> Result<Tensor> {
         ops::kl_divergence(&self.0)
     }
 }
 
 /// Returns the mean of scalars.
-///
-/// # Errors
-/// When there are none.
 pub(crate) fn mean(mut values: Vec<Tensor>) -> Result<Tensor> {
     if values.len() == 1 { Ok(values.remove(0)) } else { Tensor::stack(&values, 0)?.mean_all() }
 }

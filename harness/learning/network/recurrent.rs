@@ -12,9 +12,6 @@ use candle_core::{DType, Device, Result, Tensor};
 use harness_spec::Memory;
 
 /// Creates the memory that an architecture describes; `None` if it has none.
-///
-/// # Errors
-/// When a tensor can't be created on the device.
 pub(super) fn unit(architecture: &Architecture, mut builder: Builder) -> Result<Option<Box<dyn Unit>>> {
     let builder = &mut builder;
     Ok(match architecture.network.memory {

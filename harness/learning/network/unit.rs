@@ -15,9 +15,6 @@ pub(super) trait Unit: Send + Sync {
     /// Returns the states of encoded samples that follow one another, without the actions after them. `encoded` are the
     /// samples of several sequences, `[times * batch, width]`, the rows of one time together, and `between` the
     /// actions between the times. `state` is the one before the first time.
-    ///
-    /// # Errors
-    /// When the state has no memory.
     fn seen(
         &self,
         state: &State,
@@ -28,18 +25,12 @@ pub(super) trait Unit: Send + Sync {
 
     /// Returns the states of the sample that `state` predicts and of those after it, none of which is seen. `between`
     /// are the actions between the times, `[(times - 1) * batch, elements]`; `None` for one time.
-    ///
-    /// # Errors
-    /// When the state has no memory.
     fn unseen(&self, state: &State, between: Option<&Tensor>) -> Result<State>;
 
     /// Returns the same unit over the same parameters, for which no gradients are computed.
     fn detached(&self) -> Box<dyn Unit>;
 
     /// Describes the layers in the order in which they are applied.
-    ///
-    /// # Errors
-    /// When the shape of a parameter is not that of its layer.
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 

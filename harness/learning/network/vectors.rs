@@ -71,9 +71,6 @@ impl VectorInput {
     }
 
     /// Returns the values of a batch, `[batch, width]`.
-    ///
-    /// # Errors
-    /// When the observation lacks one of the vectors.
     pub fn forward(&self, observation: &Observation) -> Result<Tensor> {
         if self.sets.is_empty() {
             return observation.vectors(&self.others);
@@ -93,9 +90,6 @@ impl VectorInput {
     }
 
     /// Describes the layers; none without sets.
-    ///
-    /// # Errors
-    /// When the shape of a parameter is not that of its layer.
     pub fn layers(&self) -> Result<Vec<Layer>> {
         if self.sets.is_empty() {
             return Ok(Vec::new());

@@ -102,9 +102,6 @@ pub fn first_run(device: &Device, step: impl FnOnce() -> Result<Tensor>) -> Resu
 impl Graph {
     /// Records a step that has had its first run with these inputs, without doing it. `results` is the memory of its
     /// results.
-    ///
-    /// # Errors
-    /// Those of the step, and when it can't be recorded.
     pub fn record(
         device: &Device,
         inputs: Vec<Input>,
@@ -132,9 +129,6 @@ impl Graph {
     }
 
     /// Repeats the step with other inputs, in the order of the first run. Returns its results.
-    ///
-    /// # Errors
-    /// When the GPU fails.
     pub fn repeat(&self, inputs: &[Values]) -> Result<Tensor> {
         for (values, memory) in inputs.iter().zip(&self.inputs) {
             written(values, &self.gpu, memory)?;

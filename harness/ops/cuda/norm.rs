@@ -7,9 +7,6 @@ use std::sync::OnceLock;
 
 /// Returns the rows of `x` `[batch, width]`, each normalized to mean 0 and variance 1, multiplied by `weight` and added
 /// to `bias`. `epsilon` is added to the variance.
-///
-/// # Errors
-/// When the shapes do not match.
 pub fn norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f32) -> Result<Tensor> {
     x.contiguous()?.apply_op3(weight, bias, Norm { epsilon, statistics: OnceLock::new() })
 }
