@@ -30,7 +30,7 @@ release = version
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton"]
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/*.md", "models/README.md", "results/README.md"]
-exclude_patterns = [".*", "fuzz", "harness", "python", "results/*/*", "target", "tests"]
+exclude_patterns = [".*", "harness", "python", "results/*/*", "target", "tests"]
 suppress_warnings = ["myst.header"]
 
 myst_enable_extensions = ["deflist", "dollarmath"]

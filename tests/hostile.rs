@@ -2,7 +2,7 @@
 //!
 //! Each reader gets input that an attacker would write, and random mutations of good input. `cargo test` tries a few
 //! thousand mutations. `cargo test --test all hostile:: -- --ignored --nocapture` tries mutations for `SOAK_SECONDS`
-//! (default: 600) per reader, or only for the reader `SOAK_READER`. The fuzz targets in `fuzz/` test the same readers.
+//! (default: 600) per reader, or only for the reader `SOAK_READER`.
 
 use crate::common::{SMOKE, finish, harness};
 use harness::catalog::query;
