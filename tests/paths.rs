@@ -116,7 +116,6 @@ fn every_command_takes_paths_as_they_are() {
         &["ls"][..],
         &["ls", "strange"],
         &["watch", "--once"],
-        &["du"],
         &["doctor"],
         &["verify"],
         &["compare"],

@@ -134,7 +134,6 @@ fn no_line_is_wider_than_the_terminal() {
         &["schema", "--tables"],
         &["world", "list"],
         &["world", "check", "cluttered"],
-        &["du"],
         &["gc", "--only", "failed"],
         &["doctor"],
         &["verify"],

@@ -263,8 +263,6 @@ since, so that the run does not count. failed: the run failed. \
 quick: the run was made with --quick. unused: no remaining run uses the simulated dataset. unfinished: a killed \
 process left it. Imported datasets are never removed.")]
     Gc(removal::Gc),
-    /// Show the disk space of each experiment and each dataset
-    Du,
     /// Print the JSON schema of specs or mappings, or the columns of the tables
     #[command(after_help = "Examples:
   harness schema > schema.json
@@ -587,7 +585,6 @@ fn execute(
         Command::Tag(tag) => tag.execute(registry),
         Command::Rm(remove) => remove.execute(registry),
         Command::Gc(gc) => gc.execute(registry),
-        Command::Du => removal::usage(registry),
         Command::Schema(schema) => schema.execute(registry),
         Command::Render(render) => render.execute(registry),
         Command::Figures(figures) => figures.execute(registry),
@@ -619,7 +616,7 @@ impl Command {
             | Self::Publish(_)
             | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
-            Self::Rm(_) | Self::Gc(_) | Self::Du | Self::Pack(_) | Self::Tag(_) => true,
+            Self::Rm(_) | Self::Gc(_) | Self::Pack(_) | Self::Tag(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,

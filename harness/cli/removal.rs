@@ -1,6 +1,6 @@
-//! `harness rm`, `harness gc` and `harness du`.
+//! `harness rm` and `harness gc`.
 
-use super::table::{Grid, print_beside, print_grid};
+use super::table::print_beside;
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
@@ -143,20 +143,4 @@ fn remove(registry: &Registry, chosen: &[Removable]) -> Removed {
         }
     }
     end
-}
-
-/// Prints the space that experiments and datasets take.
-pub fn usage(registry: &Registry) -> Result<ExitCode> {
-    let usage = transfer::usage(registry);
-    let total: u64 = usage.iter().map(|part| part.bytes).sum();
-    let rows = usage.into_iter().map(|part| {
-        let count = |count: usize| if count > 0 { count.to_string() } else { String::new() };
-        let networks = if part.network_bytes > 0 { bytes(part.network_bytes) } else { String::new() };
-        let folder = if part.kind == part.name { part.name } else { format!("{}/{}", part.kind, part.name) };
-        [bytes(part.bytes), networks, count(part.runs), folder]
-    });
-    let grid = Grid::of_texts(["size", "networks", "runs", "folder"], rows.collect());
-    print_grid(Grid { right: vec![true, true, true, false], ..grid });
-    println!("{} in all", bytes(total));
-    Ok(ExitCode::from(DONE))
 }

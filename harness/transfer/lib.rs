@@ -1,5 +1,5 @@
 //! Moves runs and datasets: into one file and out of it (packs), to a folder for version control (published copies),
-//! and away (removal). Reports the space that they take.
+//! and away (removal).
 
 mod pack;
 mod publish;
@@ -7,7 +7,7 @@ mod removal;
 
 pub use pack::{PackError, Packed, Unpacked, pack, unpack};
 pub use publish::{Content, PublishError, Published, publish};
-pub use removal::{Garbage, Removable, Usage, garbage, remove, usage};
+pub use removal::{Garbage, Removable, garbage, remove};
 
 use harness_shared::files::FolderLock;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! The space that results take, and the removal of runs and datasets.
+//! The removal of runs and datasets.
 
 use harness_dataset::Dataset;
 use harness_registry::{Outdated, Registry, RegistryError, RunRecord, Status, WorldOf};
@@ -54,50 +54,10 @@ pub struct Removable {
     pub bytes: u64,
 }
 
-/// The space that a folder takes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Usage {
-    /// `runs`, `datasets`, or another folder of the results.
-    pub kind: String,
-    /// The experiment's or the dataset's name.
-    pub name: String,
-    /// Folders of single runs in it.
-    pub runs: usize,
-    /// Size of all files, bytes.
-    pub bytes: u64,
-    /// Size of the trained networks among them, bytes.
-    pub network_bytes: u64,
-}
-
 /// Whether a run was made with `--quick`. The name alone does not tell, because a spec may have such a name, too.
 fn is_quick(record: &RunRecord) -> bool {
     let words = shlex::split(&record.provenance.command).unwrap_or_default();
     record.experiment.ends_with(QUICK) && words.iter().any(|word| word == "--quick")
-}
-
-/// The space that each experiment, each dataset and each other folder takes, the largest first.
-pub fn usage(registry: &Registry) -> Vec<Usage> {
-    let mut usage = Vec::new();
-    for folder in folders(registry.root()) {
-        let kind = name(&folder);
-        let parts = if kind == "runs" || kind == "datasets" { folders(&folder) } else { vec![folder] };
-        usage.extend(parts.iter().map(|part| {
-            let mut usage =
-                Usage { kind: kind.clone(), name: name(part), runs: 0, bytes: 0, network_bytes: 0 };
-            if kind == "runs" {
-                usage.runs = folders(part).len();
-            }
-            for (path, bytes) in files(part) {
-                usage.bytes += bytes;
-                if path.extension().is_some_and(|ending| ending == "safetensors") {
-                    usage.network_bytes += bytes;
-                }
-            }
-            usage
-        }));
-    }
-    usage.sort_by_key(|usage| std::cmp::Reverse(usage.bytes));
-    usage
 }
 
 /// Returns the runs that have one of these reasons and, if asked for, the datasets that no other run uses, and what
