@@ -182,6 +182,7 @@ fn a_submission_is_three_jobs_that_wait_for_each_other() {
         "{}",
         answer.stdout
     );
+    assert!(answer.stdout.ends_with("scancel 101 102 103\n"), "{}", answer.stdout);
     let calls = fs::read_to_string(slurm.path().join("calls")).unwrap();
     let calls: Vec<&str> = calls.lines().collect();
     assert!(calls[0].ends_with("/collect.sh") && !calls[0].contains("--dependency"), "{calls:?}");
@@ -197,21 +198,6 @@ fn a_submission_is_three_jobs_that_wait_for_each_other() {
     {
         assert!(listed.contains(part), "{part}: {listed}");
     }
-    let cancelled = with_slurm(slurm.path(), &results, &["cancel", "smoke"]);
-    assert!(
-        cancelled.stdout.contains("is cancelled; what its tasks have done is kept"),
-        "{}",
-        cancelled.stdout
-    );
-    let calls = fs::read_to_string(slurm.path().join("calls")).unwrap();
-    assert!(calls.lines().last().unwrap().ends_with("scancel 102"), "{calls}");
-    let unknown = with_slurm(slurm.path(), &results, &["cancel", "other"]);
-    assert_eq!(unknown.code, 2);
-    assert!(
-        unknown.stderr.starts_with("error: there is no job of 'other'; jobs: smoke-"),
-        "{}",
-        unknown.stderr
-    );
 }
 
 /// Slurm's scripts, by the name of the step.
@@ -344,7 +330,6 @@ fn a_submission_of_which_one_job_is_refused_is_cancelled() {
     let calls = fs::read_to_string(calls).unwrap();
     assert!(calls.lines().last().unwrap().ends_with("scancel 101"), "{calls}");
     assert!(fs::read_dir(results.join("jobs")).unwrap().next().is_none());
-    assert_eq!(with_slurm(slurm.path(), &results, &["cancel", "smoke"]).code, 2);
 }
 
 #[test]
@@ -365,25 +350,15 @@ fn a_full_disk_submits_nothing() {
 }
 
 #[test]
-fn jobs_that_cannot_be_cancelled_or_listed_are_kept() {
-    let (results, slurm) = (fresh("uncancelled"), slurm());
+fn jobs_that_cannot_be_listed_are_kept() {
+    let (results, slurm) = (fresh("unlisted"), slurm());
     with_slurm(slurm.path(), &results, &["submit", SMOKE]);
     let folder = fs::read_dir(results.join("jobs")).unwrap().next().unwrap().unwrap().path();
-    for arguments in [&["cancel", "smoke"][..], &["ls", "--jobs"]] {
-        let answer = finish(harness(&results, arguments).env("PATH", "/nowhere"));
-        let said = refusal(&answer, 2);
-        assert!(
-            said.starts_with("squeue is not installed, so this machine is not part of a Slurm cluster"),
-            "{said}"
-        );
-    }
-    write_script(
-        &slurm.path().join("scancel"),
-        "echo 'scancel: error: Kill job error on job id 102: Access/permission denied' >&2; exit 1",
+    let said = refusal(&finish(harness(&results, &["ls", "--jobs"]).env("PATH", "/nowhere")), 2);
+    assert!(
+        said.starts_with("squeue is not installed, so this machine is not part of a Slurm cluster"),
+        "{said}"
     );
-    let said = refusal(&with_slurm(slurm.path(), &results, &["cancel", "smoke"]), 1);
-    let expected = "scancel failed: scancel: error: Kill job error on job id 102: Access/permission denied";
-    assert_eq!(format!("error: {said}").matches(expected).count(), 1, "{said}");
     assert!(folder.join("job.json").is_file() && folder.join("train.sh").is_file());
     let config = slurm.path().join("cluster.yaml");
     fs::write(&config, "tasks: many\n").unwrap();

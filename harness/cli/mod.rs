@@ -138,13 +138,6 @@ samples. You can interrupt the command at any time: the same command continues."
     /// Submit an experiment to a Slurm cluster
     #[command(after_help = SUBMIT_HELP)]
     Submit(submit::Submit),
-    /// Cancel submitted jobs
-    #[command(after_help = "Examples:
-  harness cancel multi_to_multi                     every job of an experiment
-  harness cancel multi_to_multi-20261122T093000Z    one of them
-
-Finished runs and saved states are kept. The next `harness submit` or `harness run` continues from them.")]
-    Cancel(submit::Cancel),
     /// Judge the predictions of a model of another program
     #[command(after_help = JUDGE_HELP)]
     Judge(judge::Judge),
@@ -386,11 +379,11 @@ const SUBMIT_HELP: &str = "Examples:
   harness submit multi_to_multi --config cluster.yaml
   harness submit multi_to_multi --dry-run         print the scripts
   harness ls --jobs                               where the tasks are
-  harness cancel multi_to_multi
 
 The command submits up to three jobs with sbatch: an array that simulates the missing episodes, an array that divides \
 the runs, and one task that does the remaining runs if a task was lost. A task that reaches its time limit or is \
-preempted saves its state, is queued again, and resumes. All nodes must share the file system of the results folder, \
+preempted saves its state, is queued again, and resumes. The command prints `scancel` with the jobs' \
+numbers, which cancels them. Finished runs and saved states are kept. All nodes must share the file system of the results folder, \
 and its locks must work across nodes.";
 
 const JUDGE_HELP: &str = "Examples:
@@ -577,7 +570,6 @@ fn execute(
         Command::Claims(claims) => claims.execute(registry),
         Command::Compare(compare) => compare.execute(registry),
         Command::Submit(submit) => submit.execute(registry, threads, program),
-        Command::Cancel(cancel) => cancel.execute(registry),
         Command::Ls(list) => list.execute(registry),
         Command::Watch(watch) => watch.execute(registry),
         Command::Show(show) => show.execute(registry),
@@ -618,7 +610,7 @@ impl Command {
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
             Self::Rm(_) | Self::Gc(_) | Self::Pack(_) | Self::Tag(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,
-            Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) | Self::Cancel(_) => false,
+            Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,
             Self::Render(render) => render.reads_results(),
             Self::Experiments(_) | Self::Schema(_) | Self::World(_) | Self::Doctor => false,

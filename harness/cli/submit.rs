@@ -1,4 +1,4 @@
-//! `harness submit`, `harness cancel` and `harness ls --jobs`: experiments as jobs of a Slurm cluster.
+//! `harness submit` and `harness ls --jobs`: experiments as jobs of a Slurm cluster.
 //!
 //! ```text
 //! results/jobs/<experiment>-<time>/   job.json, collect.sh, train.sh, finish.sh, and a log of each task
@@ -37,8 +37,6 @@ pub enum SubmitError {
     Config { place: String, reason: String },
     #[error("nothing to submit: every run of {0} is done")]
     AllDone(String),
-    #[error("there is no job of '{name}'; jobs: {}", if known.is_empty() { "none" } else { known })]
-    NoJob { name: String, known: String },
 }
 
 #[derive(Args)]
@@ -133,7 +131,8 @@ impl Submit {
         print_text(&format!("{} of {} submitted: {jobs}", counted(to_do, "run"), experiment.name));
         println!("scripts and logs  {}", shown(&folder));
         print_command("progress          ", &registry.command("ls --jobs"));
-        print_command("cancel            ", &registry.command(&format!("cancel {name}")));
+        let numbers = record.steps.iter().map(|(_, number)| number.to_string()).collect::<Vec<_>>();
+        print_command("cancel            ", &format!("scancel {}", numbers.join(" ")));
         Ok(ExitCode::from(DONE))
     }
 
@@ -211,39 +210,6 @@ fn records(registry: &Registry) -> BTreeMap<String, (PathBuf, Record)> {
         Some((name, (folder, serde_json::from_slice(&record).ok()?)))
     };
     folders.filter_map(read).collect()
-}
-
-#[derive(Args)]
-pub struct Cancel {
-    /// A job, as `harness ls --jobs` names it, or an experiment
-    job: String,
-}
-
-impl Cancel {
-    pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let all = records(registry);
-        let chosen: Vec<_> = all
-            .iter()
-            .filter(|(name, (_, record))| **name == self.job || record.experiment == self.job)
-            .collect();
-        if chosen.is_empty() {
-            let known = all.into_keys().collect::<Vec<_>>().join(", ");
-            bail!(SubmitError::NoJob { name: self.job, known });
-        }
-        let known: Vec<u64> = slurm::tasks()?.into_iter().map(|task| task.job).collect();
-        for (name, (_, record)) in chosen {
-            let numbers: Vec<u64> = record.steps.iter().map(|(_, number)| *number).collect();
-            let waiting: Vec<u64> =
-                numbers.into_iter().rev().filter(|number| known.contains(number)).collect();
-            if waiting.is_empty() {
-                println!("{name} has ended before");
-                continue;
-            }
-            slurm::cancel(&waiting)?;
-            println!("{name} is cancelled; what its tasks have done is kept");
-        }
-        Ok(ExitCode::from(DONE))
-    }
 }
 
 /// The columns of the tasks of all jobs.
