@@ -42,7 +42,6 @@ mod serve;
 mod sql;
 mod suggestions;
 mod tables;
-mod tags;
 mod terminal;
 mod value;
 mod versions;

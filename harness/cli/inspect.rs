@@ -11,11 +11,11 @@ use clap::Args;
 use harness::catalog;
 use harness::meant;
 use harness::numbers::{Natural, duration};
-use harness::registry::{Registry, RegistryError, RunFolder, RunRecord, quoted, tags_of};
+use harness::registry::{Registry, RunFolder, RunRecord, quoted};
 use harness::schema::{Column, Table, sample_columns};
 use harness::simulation::Scene;
 use harness::spec::{Scenario, World, mapping_schema};
-use polars::prelude::{AnyValue, Column as Values, DataFrame};
+use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::process::ExitCode;
@@ -55,14 +55,11 @@ pub struct List {
     /// List only runs with this status
     #[arg(long, value_name = "STATUS", value_parser = ["done", "failed", "running", "interrupted"])]
     status: Option<String>,
-    /// List only runs with this tag; `harness tag` gives tags
-    #[arg(long, value_name = "NAME")]
-    tag: Option<String>,
     /// Order by this column; the longest or latest run comes last
     #[arg(long, value_name = "COLUMN", value_parser = ["run", "started", "seconds", "status"], default_value = "run")]
     sort: String,
     /// List the tasks of submitted jobs instead, with their nodes, and the reasons why they wait or failed
-    #[arg(long, conflicts_with_all = ["experiments", "status", "tag", "sort"])]
+    #[arg(long, conflicts_with_all = ["experiments", "status", "sort"])]
     jobs: bool,
     #[command(flatten)]
     to: Destination,
@@ -82,17 +79,6 @@ impl List {
         }
         let mut recorded = registry.recorded();
         check_started(recorded.iter().map(|(_, record)| record), registry, &self.experiments)?;
-        let tags = registry.tags()?;
-        if let Some(wanted) = &self.tag {
-            let has_tag =
-                |record: &RunRecord| tags.get(&record.name()).is_some_and(|own| own.contains(wanted));
-            recorded.retain(|(_, record)| has_tag(record));
-            if recorded.is_empty() {
-                let there: BTreeSet<&String> = tags.values().flatten().collect();
-                let (wanted, there) = (wanted.clone(), there.into_iter().cloned().collect());
-                return Err(RegistryError::UnknownTag { wanted, there }.into());
-            }
-        }
         let text = |text: &String| format!("'{}'", text.replace('\'', "''"));
         let mut conditions = Vec::new();
         if !self.experiments.is_empty() {
@@ -116,11 +102,6 @@ impl List {
             "select experiment, run, status, started, {seconds} as seconds, reason from runs where {chosen} {order}"
         );
         let mut runs = catalog::query_recorded(registry, &recorded, &sql)?;
-        let tags = tags_of(&runs, &tags)?;
-        // Programs read the same columns from all results.
-        if matches!(form, Form::Data(_)) || tags.iter().any(Option::is_some) {
-            runs.insert_column(3, Values::new("tags".into(), tags))?;
-        }
         match (form, width()) {
             (Form::Data(data), _) => return data.write(&mut runs, "run"),
             (Form::Page(Style::Text), Some(limit)) => print_listed(runs, limit)?,
@@ -137,8 +118,6 @@ struct Listed {
     experiment: String,
     run: String,
     status: String,
-    #[serde(default)]
-    tags: Option<String>,
     started: String,
     seconds: Option<f64>,
     reason: Option<String>,
@@ -197,25 +176,20 @@ fn print_listed(mut runs: DataFrame, limit: u16) -> Result<()> {
     Ok(())
 }
 
-/// A table of runs. Without a column of experiments, the header has the name of the first. There is a column of tags if
-/// a run has some. A short time of the start has no year and no seconds.
+/// A table of runs. Without a column of experiments, the header has the name of the first. A short time
+/// of the start has no year and no seconds.
 fn listed(runs: &[Listed], has_experiments: bool, is_long: bool) -> Grid {
-    let has_tags = runs.iter().any(|run| run.tags.is_some());
     let row = |run: &Listed| {
         let started = run.started.replace('T', " ");
         let shown = if is_long { 0..19 } else { 5..16 };
         let started = started.get(shown).unwrap_or(&started);
         let time = run.seconds.map_or(String::new(), duration);
-        let tags = has_tags.then(|| run.tags.clone().unwrap_or_default());
         let before = has_experiments.then(|| run.experiment.clone()).into_iter();
-        let before = before.chain([run.run.clone(), run.status.clone()]).chain(tags);
-        before.chain([started.to_owned(), time]).collect()
+        before.chain([run.run.clone(), run.status.clone(), started.to_owned(), time]).collect()
     };
     let first = runs.first().map_or("run", |run| &run.experiment);
     let names = if has_experiments { vec!["experiment", "run"] } else { vec![first] };
-    let tags = has_tags.then_some("tags");
-    let header = names.into_iter().chain(["status"]).chain(tags).chain(["started (UTC)", "time"]);
-    let header: Vec<&str> = header.collect();
+    let header: Vec<&str> = names.into_iter().chain(["status", "started (UTC)", "time"]).collect();
     let right = (1..=header.len()).map(|column| column == header.len()).collect();
     let header = header.into_iter().map(str::to_owned).collect();
     Grid { header, rows: runs.iter().map(row).collect(), right, ..Grid::default() }

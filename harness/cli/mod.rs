@@ -28,7 +28,6 @@ mod search;
 mod serve;
 mod sheet;
 mod submit;
-mod tag;
 mod verify;
 mod watch;
 mod world;
@@ -204,7 +203,6 @@ metrics, which `harness query` reads, has them for each joint and link. The LaTe
   harness ls
   harness ls smoke --status failed
   harness ls --sort seconds
-  harness ls --tag baseline
   harness ls --status failed --format json
   harness ls --jobs")]
     Ls(inspect::List),
@@ -228,15 +226,6 @@ each network, and which datasets are being collected.")]
 
 The differences are in settings, worlds and metrics and, with --all, also in the versions and the machine.")]
     Diff(diff::Diff),
-    /// Give runs a tag, or take it away
-    #[command(after_help = "Examples:
-  harness tag smoke/cluttered baseline
-  harness tag smoke/empty smoke/cluttered baseline --remove
-  harness ls --tag baseline
-
-Tags are in the file tags.json of the results folder, and not in the records of runs, so they change no hash. `harness \
-publish` and `harness pack` leave them out. The page of `harness serve` shows them and filters by them.")]
-    Tag(tag::Tag),
     /// Remove runs, after asking
     #[command(after_help = "Examples:
   harness rm smoke                    every run of the experiment
@@ -574,7 +563,6 @@ fn execute(
         Command::Watch(watch) => watch.execute(registry),
         Command::Show(show) => show.execute(registry),
         Command::Diff(diff) => diff.execute(registry),
-        Command::Tag(tag) => tag.execute(registry),
         Command::Rm(remove) => remove.execute(registry),
         Command::Gc(gc) => gc.execute(registry),
         Command::Schema(schema) => schema.execute(registry),
@@ -608,7 +596,7 @@ impl Command {
             | Self::Publish(_)
             | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
-            Self::Rm(_) | Self::Gc(_) | Self::Pack(_) | Self::Tag(_) => true,
+            Self::Rm(_) | Self::Gc(_) | Self::Pack(_) => true,
             Self::Unpack(_) | Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,
@@ -723,14 +711,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.downcast_ref().is_some_and(is_wrong_name)
 }
 
-/// Whether the arguments name a run, a tag or a results folder that does not exist, several runs, or no tag.
+/// Whether the arguments name a run or a results folder that does not exist, or several runs.
 fn is_wrong_name(error: &RegistryError) -> bool {
     matches!(
         error,
-        RegistryError::Unknown { .. }
-            | RegistryError::Ambiguous { .. }
-            | RegistryError::NoResults { .. }
-            | RegistryError::TagName(_)
-            | RegistryError::UnknownTag { .. }
+        RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. } | RegistryError::NoResults { .. }
     )
 }

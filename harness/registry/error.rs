@@ -90,36 +90,6 @@ pub enum RegistryError {
         /// Why.
         problem: &'static str,
     },
-    /// A tag has a name that is not allowed.
-    #[error("'{0}' can't be a tag; a tag consists of letters, digits, '-', '_' and '.', such as baseline")]
-    TagName(String),
-    /// No run has a tag.
-    #[error("no run has the tag '{wanted}'; {}", match there.as_slice() {
-        [] => "no run has any".to_owned(),
-        there => format!("the tags are {}", there.join(", ")),
-    })]
-    UnknownTag {
-        /// The tag.
-        wanted: String,
-        /// The tags that runs have.
-        there: Vec<String>,
-    },
-    /// The file of the tags is damaged.
-    #[error("{} is damaged ({reason}); remove it, and tag the runs again", path.display())]
-    Tags {
-        /// The file's path.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// Another process changes the tags.
-    #[error("{} can't be changed, because {holder} is changing it; try again", path.display())]
-    TagsInUse {
-        /// The file's path.
-        path: PathBuf,
-        /// The process.
-        holder: String,
-    },
     /// The wanted text is the beginning of several runs' names.
     #[error("'{wanted}' matches several runs: {}; name one of them", first(matches))]
     Ambiguous {

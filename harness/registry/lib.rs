@@ -9,7 +9,6 @@
 //!     prediction.safetensors, reconstruction.safetensors
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see the crate `catalog`
 //! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`
-//! results/tags.json                   the tags of runs, see `tags`
 //! results/specs/<dataset>.yaml        collects a dataset that unpacked runs used and that was not packed
 //! ```
 
@@ -27,7 +26,6 @@ mod names;
 mod own_metric;
 mod provenance;
 mod record;
-mod tags;
 mod verify;
 mod worlds;
 
@@ -45,7 +43,6 @@ pub use record::{
     FileRecord, ForceRows, ForcesOf, Outcome, RunRecord, Status, Submission, Timings, WorldOf, episodes_used,
     forces_of, is_network, runs_table,
 };
-pub use tags::{Tags, check_tag, tags_of};
 pub use verify::{Finding, Report};
 pub use worlds::{DatasetsNow, Outdated, UNKNOWN};
 

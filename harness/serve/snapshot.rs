@@ -4,7 +4,7 @@ use super::answers::{Answer, Failure, columns, number};
 use harness_analysis::higher_is_better;
 use harness_analysis::models::baselines_in_sql;
 use harness_catalog::query_recorded;
-use harness_registry::{Recorded, Registry, Remembered, RunRecord, Tags, tags_of};
+use harness_registry::{Recorded, Registry, Remembered, RunRecord};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
@@ -30,7 +30,6 @@ const FURTHER_METRICS: &str = "select experiment, run, modality, metric, horizon
 pub struct Snapshot {
     registry: Registry,
     memory: Remembered,
-    tags: Tags,
     /// The runs that the last look left out, with the reasons.
     left_out: Vec<String>,
     looked: Option<Instant>,
@@ -46,8 +45,8 @@ pub struct Snapshot {
 impl Snapshot {
     pub fn new(registry: Registry) -> Self {
         let version = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_micros());
-        let (memory, tags, left_out) = (Remembered::default(), Tags::new(), Vec::new());
-        Self { registry, memory, tags, left_out, looked: None, version, answer: None, settings: None }
+        let (memory, left_out) = (Remembered::default(), Vec::new());
+        Self { registry, memory, left_out, looked: None, version, answer: None, settings: None }
     }
 
     /// Reads the runs that have changed, if the last look was some time ago.
@@ -58,14 +57,8 @@ impl Snapshot {
         // A registry never forgets what it has left out, so each look has its own.
         let registry = self.registry.anew();
         let changed = registry.refresh(&mut self.memory);
-        let (tags, problem) = match registry.tags() {
-            Ok(tags) => (tags, None),
-            Err(error) => (Tags::new(), Some(format!("the tags are left out: {error}"))),
-        };
-        let left_out = registry.left_out().into_iter().chain(problem).collect();
-        let before =
-            (std::mem::replace(&mut self.left_out, left_out), std::mem::replace(&mut self.tags, tags));
-        let is_same = before.0 == self.left_out && before.1 == self.tags;
+        let before = std::mem::replace(&mut self.left_out, registry.left_out());
+        let is_same = before == self.left_out;
         if changed || !is_same || self.looked.is_none() {
             self.version += 1;
             self.answer = None;
@@ -142,7 +135,6 @@ impl Snapshot {
         }
         let is_whole = left_out.len() == self.left_out.len();
         let mut found = columns(&runs, runs.height());
-        found.push(json!({ "name": "tags", "values": tags_of(&runs, &self.tags)? }));
         for ((modality, metric, horizon), values) in metrics {
             let values: Vec<Value> =
                 values.into_iter().map(|value| value.map_or(Value::Null, number)).collect();

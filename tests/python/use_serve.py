@@ -513,29 +513,6 @@ def check_phone(page: Served):
     check_fits(page, "sql")
 
 
-def check_tags(page: Served, harness: str, results: str):
-    """The tags that a run gets while the page is open are a column, and select runs."""
-    page.open(DESKTOP)
-    assert not any("tags" in text for text in page.texts("#table thead th"))
-    everything = page.count()[1]
-    run = f"{page.column('experiment')[0]}/{page.column('run')[0]}"
-
-    def tag(*words: str):
-        subprocess.run([harness, "--results", results, "tag", run, *words], check=True, stdout=subprocess.DEVNULL)
-
-    tag("best")
-    tag("of-paper")
-    page.wait(lambda: "best of-paper" in page.texts("#table td"))
-    for text, found in [("tags=best", 1), ("tags!=best", everything - 1), ("tags=of", 0), ("of-pap", 1)]:
-        page.filter(text)
-        assert page.count() == [found, everything], text
-    page.filter("tags=best")
-    page.shoot("tags")
-    tag("best", "--remove")
-    page.wait(lambda: page.count() == [0, everything])
-    tag("of-paper", "--remove")
-
-
 def check_settings(page: Served):
     """A metric is plotted over a setting, runs are grouped by it, and losses are smoothed, also by an address."""
     page.open(DESKTOP)
@@ -746,7 +723,6 @@ def main():
                     check_claims_and_sql(page)
                     check_reads(page, process, Path(chosen.results))
                     check_changes(page, Path(chosen.results))
-                    check_tags(page, chosen.harness, chosen.results)
                     check_phone(page)
                     if chosen.live:
                         check_live(page, chosen.harness, chosen.results, chosen.live)

@@ -298,13 +298,12 @@ function grouped(rows) {
 function takeRuns(answer) {
   const first = state.version === "";
   // The metrics follow the columns that name a run and its status.
-  const isEarly = (column) => ["experiment", "run", "status", "tags"].includes(column.name);
+  const isEarly = (column) => ["experiment", "run", "status"].includes(column.name);
   const [early, late] = [answer.columns.filter(isEarly), answer.columns.filter((column) => !isEarly(column))];
   const columns = [...early, ...late.filter((column) => column.metric), ...late.filter((column) => !column.metric)];
   Object.assign(state, { columns, count: answer.count, version: answer.version });
   alignSettings();
-  const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric) ||
-    (column.name === "tags" && column.values.some((tags) => tags !== null));
+  const isFirst = (column) => FIRST.includes(column.name) || MIDDLE_METRICS.includes(column.metric);
   for (const column of state.columns) {
     if (!isFirst(column)) continue;
     if (!state.known.has(column.name)) state.visible.add(column.name);

@@ -17,9 +17,8 @@ const COMPARISONS = {
 
 /**
  * Parses a filter. Its terms are separated by spaces, and all of them must match. A term is a part of a name, or a
- * comparison of a column: `latent=64`, `status!=failed`, `"contact_force r2">0.5`. A run has several tags, of which `tags=`
- * compares each. A part of a name with such a sign or a space is quoted. Returns a function of a row's number, or throws a
- * message.
+ * comparison of a column: `latent=64`, `status!=failed`, `"contact_force r2">0.5`. A part of a name with such a sign or a
+ * space is quoted. Returns a function of a row's number, or throws a message.
  */
 function parseFilter(text, columns) {
   const terms = text.match(/(?:"[^"]*"|[^\s"])+/g) ?? [];
@@ -27,16 +26,13 @@ function parseFilter(text, columns) {
     const parts = /^("[^"]*"|[^\s"=!<>]+)(!=|>=|<=|=|<|>)(.*)$/.exec(term);
     if (!parts) {
       const wanted = term.replaceAll('"', "").toLowerCase();
-      const texts = columns.filter((column) => ["experiment", "run", "variant", "tags"].includes(column.name));
+      const texts = columns.filter((column) => ["experiment", "run", "variant"].includes(column.name));
       return (row) => texts.some((column) => String(column.values[row] ?? "").toLowerCase().includes(wanted));
     }
     const [name, sign, wanted] = [parts[1].replaceAll('"', ""), parts[2], parts[3].replaceAll('"', "")];
     const column = columns.find((column) => column.name.toLowerCase() === name.toLowerCase());
     if (!column) throw new Error(`there is no column ${name}`);
     const compare = COMPARISONS[sign];
-    if (column.name === "tags" && ["=", "!="].includes(sign)) {
-      return (row) => (column.values[row] ?? "").split(" ").includes(wanted) === (sign === "=");
-    }
     const asNumber = Number(wanted);
     if (isNumeric(column) && wanted !== "" && !Number.isNaN(asNumber)) {
       return (row) => typeof column.values[row] === "number" && compare(column.values[row], asNumber);
