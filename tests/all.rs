@@ -27,7 +27,6 @@ mod models;
 mod numbers;
 mod outside;
 mod own_test;
-mod pack;
 mod paths;
 mod plot;
 mod publish;

@@ -584,14 +584,12 @@ fn the_doctor_says_which_device_renders_and_which_variables_do_not_choose_it() {
 
 #[test]
 fn one_option_of_all_commands_names_the_file_or_folder_to_write() {
-    for command in
-        ["query", "ls", "claims", "compare", "figures", "plot", "render", "report", "publish", "pack"]
-    {
+    for command in ["query", "ls", "claims", "compare", "figures", "plot", "render", "report", "publish"] {
         let help = succeed(&RESULTS, &[command, "--help"]);
         assert!(help.contains("  -o, --output <"), "{command}: {help}");
     }
     // Earlier names are understood, but not shown.
-    for (command, option) in [("figures", "--out"), ("report", "--out"), ("publish", "--to")] {
+    for (command, option) in [("figures", "--out"), ("report", "--out")] {
         let help = succeed(&RESULTS, &[command, option, "somewhere.html", "--help"]);
         assert!(!help.contains(&format!("{option} ")), "{help}");
     }

@@ -174,7 +174,7 @@ fn further_rows_change_no_other_answer() {
     }
     let pages = [&plain, &further].map(|results| served_of_next_sample(results));
     assert_eq!(pages[0], pages[1]);
-    // What copies or packs the runs takes the further rows along, and changes no other.
+    // What copies the runs takes the further rows along, and changes no other.
     let moved = [&plain, &further].map(|results| moved(results));
     for (expected, found) in moved[0].iter().zip(&moved[1]) {
         for command in &COMMANDS[..COMMANDS.len() - 3] {
@@ -244,16 +244,13 @@ impl Drop for Serving {
     }
 }
 
-/// A published copy of an experiment's runs, and the same runs out of a pack.
+/// A published copy of an experiment's runs, and a complete one.
 fn moved(results: &Path) -> [PathBuf; 2] {
     let place = |name: &str| fresh(&format!("{name}_{}", results.file_name().unwrap().to_str().unwrap()));
-    let [copy, unpacked] = ["copied", "unpacked"].map(place);
+    let [copy, complete] = ["copied", "complete"].map(place);
     succeed(results, &["publish", "senses", "--output", copy.to_str().unwrap()]);
-    let pack = unpacked.with_extension("harness");
-    let _ = fs::remove_file(&pack);
-    succeed(results, &["pack", "senses", "--output", pack.to_str().unwrap()]);
-    succeed(&unpacked, &["unpack", pack.to_str().unwrap()]);
-    [copy, unpacked]
+    succeed(results, &["publish", "senses", "--complete", "--output", complete.to_str().unwrap()]);
+    [copy, complete]
 }
 
 #[test]

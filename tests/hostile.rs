@@ -7,10 +7,8 @@
 use crate::common::{SMOKE, finish, harness};
 use harness::catalog::query;
 use harness::learning::tensors::TensorFile;
-use harness::progress::Silent;
 use harness::registry::Registry;
 use harness::schema::Table;
-use harness::seal;
 use harness::spec::{Experiment, SpecError, parse_spec};
 use harness::tables::{Stamp, TableFile, write_table};
 use polars::prelude::*;
@@ -347,57 +345,7 @@ fn readers() -> Vec<Reader> {
                 }
             },
         },
-        Reader {
-            name: "packs",
-            corpus: vec![a_manifest().into_bytes(), a_pack(&a_manifest())],
-            words: &["..", "/", "runs/", "datasets/", "ustar", "././@LongLink", "18446744073709551615", "\0\0\0\0"],
-            read: |bytes| {
-                // A manifest gets a new seal, so that its content is read.
-                let bytes = match std::str::from_utf8(bytes) {
-                    Ok(manifest) if manifest.contains(seal::BLANK) => a_pack(manifest),
-                    _ => bytes.to_vec(),
-                };
-                let folder = tempfile::tempdir().unwrap();
-                let pack = folder.path().join("hostile.harness");
-                std::fs::write(&pack, bytes).unwrap();
-                let registry = Registry::new(folder.path().join("results"));
-                let error = harness::transfer::unpack(&registry, &pack, &Silent).unwrap_err();
-                assert!(!error.to_string().contains(['\n', '\0']), "{error}");
-                assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "{error}");
-            },
-        },
     ]
-}
-
-/// The manifest of a pack of one run, without its seal.
-fn a_manifest() -> String {
-    let digest = "0".repeat(64);
-    let file = |bytes: u64| serde_json::json!({ "bytes": bytes, "rows": null, "sha256": digest });
-    let files =
-        serde_json::json!({ "runs/smoke/empty/run.json": file(3), "runs/smoke/empty/spec.yaml": file(5) });
-    let manifest = serde_json::json!({
-        "format": 1, "harness_version": "0.1.0", "mujoco_version": "3.17.0", "candle_version": "0.11", "files": files,
-        "seal": seal::BLANK,
-    });
-    manifest.to_string()
-}
-
-/// A pack with this manifest and two files.
-fn a_pack(manifest: &str) -> Vec<u8> {
-    let mut manifest = manifest.as_bytes().to_vec();
-    seal::seal(&mut manifest).unwrap();
-    let mut archive = tar::Builder::new(Vec::new());
-    let files: [(&str, &[u8]); 3] = [
-        ("manifest.json", &manifest),
-        ("runs/smoke/empty/run.json", b"{ }"),
-        ("runs/smoke/empty/spec.yaml", b"a: b\n"),
-    ];
-    for (path, bytes) in files {
-        let mut header = tar::Header::new_gnu();
-        header.set_size(bytes.len() as u64);
-        archive.append_data(&mut header, path, bytes).unwrap();
-    }
-    archive.into_inner().unwrap()
 }
 
 const YAML_WORDS: &[&str] = &[

@@ -80,10 +80,8 @@ fn runs_on_several_datasets_share_one_test() {
 
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
     succeed(&results, &["verify"]);
-    let pack = results.join("all.harness");
-    succeed(&results, &["pack", "smoke", "--datasets", "--output", pack.to_str().unwrap()]);
-    let other = fresh("own-test-unpacked");
-    succeed(&other, &["unpack", pack.to_str().unwrap()]);
+    let other = fresh("own-test-copied");
+    succeed(&results, &["publish", "smoke", "--complete", "--output", other.to_str().unwrap()]);
     assert!(other.join("datasets").join(test).join("episode_00001.parquet").is_file());
     let rollout = rollout(&Registry::new(&results), &records[0].run, None, 1).unwrap();
     let dataset = AnyDataset::at(&results.join("datasets").join(test)).unwrap();

@@ -147,12 +147,10 @@ fn every_command_takes_paths_as_they_are() {
     place.writes("verdicts.csv", &["claims", "--file", &claims]);
     place.succeed(&["export", "--format", "onnx", first, &place.path("network.onnx")]);
     let published = place.writes("published", &["publish", "strange"]);
-    let pack = place.writes("strange.harness", &["pack", "strange", "--datasets"]);
-    for (results, command) in
-        [(published, &["compare", "strange"][..]), (place.path("more"), &["unpack", &pack])]
-    {
-        let answer = finish(&mut harness(Path::new(&results), command));
-        assert_eq!(answer.code, 0, "{command:?}: {}", answer.stderr);
+    let moved = place.writes("moved", &["publish", "strange", "--complete"]);
+    for results in [published, moved] {
+        let answer = finish(&mut harness(Path::new(&results), &["compare", "strange"]));
+        assert_eq!(answer.code, 0, "{results}: {}", answer.stderr);
         place.said += &format!("{}{}\n", answer.stdout, answer.stderr);
     }
     assert!(!fs::read(place.path("network.onnx")).unwrap().is_empty());

@@ -310,3 +310,73 @@ fn what_cannot_be_published_is_refused() {
     }
     assert!(!Path::new("nowhere").exists() && !Path::new(inside).exists());
 }
+
+/// The files of a results folder's runs of smoke and of its datasets, by their path in it, without those of locks.
+fn kept(results: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let all =
+        [results.join("runs/smoke"), results.join("datasets")].into_iter().flat_map(|part| files(&part));
+    let is_lock = |path: &Path| path.file_name().unwrap().to_string_lossy().starts_with('.');
+    all.filter(|(path, _)| !is_lock(path))
+        .map(|(path, bytes)| (path.strip_prefix(results).unwrap().to_owned(), bytes))
+        .collect()
+}
+
+fn complete<'a>(to: &'a Path, runs: &'a str) -> [&'a str; 5] {
+    ["publish", runs, "--complete", "--output", to.to_str().unwrap()]
+}
+
+#[test]
+fn a_complete_copy_has_every_file_and_is_continued() {
+    let (copy, whole) = (fresh("complete"), kept(&RESULTS));
+    assert!(succeed(&RESULTS, &complete(&copy, "smoke")).starts_with("6 folders, "));
+    assert!(kept(&copy) == whole);
+    let lost: Vec<&PathBuf> = whole.keys().filter(|path| path.ends_with("run.json")).take(1).collect();
+    let lost = lost.into_iter().chain(whole.keys().find(|path| path.ends_with("episode_00001.parquet")));
+    lost.for_each(|path| std::fs::remove_file(copy.join(path)).unwrap());
+    let said = succeed(&RESULTS, &complete(&copy, "smoke"));
+    assert!(said.starts_with("2 folders, ") && said.ends_with(", 4 there before\n"), "{said}");
+    assert!(kept(&copy) == whole);
+    assert!(succeed(&copy, &["verify"]).contains("4 runs, 2 datasets"));
+
+    let again = fresh("complete-again");
+    assert!(succeed(&copy, &complete(&again, "smoke/empty-z4-seed3")).starts_with("2 folders, "));
+    assert!(kept(&again).iter().all(|(path, bytes)| whole[path] == *bytes));
+    succeed(&copy, &complete(&again, "smoke"));
+    assert!(kept(&again) == whole);
+}
+
+#[test]
+fn a_complete_copy_replaces_nothing_and_copies_nothing_damaged() {
+    let (results, copy) = (fresh("complete-from"), fresh("complete-over"));
+    succeed(&RESULTS, &complete(&results, "smoke"));
+    succeed(&results, &complete(&copy, "smoke/empty"));
+    let refused = |from: &Path, runs: &str, message: &str| {
+        let before = files(&copy);
+        let answer = finish(&mut harness(from, &complete(&copy, runs)));
+        assert!(answer.code == 1 && answer.stderr.contains(message), "{} {}", answer.code, answer.stderr);
+        assert!(answer.stderr.lines().count() == 1 && files(&copy) == before, "{}", answer.stderr);
+    };
+    let run = |of: &Path, start: &str| {
+        let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(start);
+        let mut runs = std::fs::read_dir(of.join("runs/smoke")).unwrap().map(|run| run.unwrap().path());
+        runs.find(name).unwrap()
+    };
+    let changed = run(&copy, "empty-z4-seed5").join("metrics.parquet");
+    let metrics = std::fs::read(&changed).unwrap();
+    std::fs::write(&changed, "other").unwrap();
+    refused(&results, "smoke", "exists already with other content (metrics.parquet); nothing was copied");
+    std::fs::write(&changed, metrics).unwrap();
+
+    let to = run(&copy, "empty-z4-seed5");
+    std::fs::rename(to.join("run.json"), results.join("run.json")).unwrap();
+    let lock = FolderLock::attempt(&to).unwrap().unwrap();
+    refused(&results, "smoke/empty", &format!("works in {}; try again when it has ended", to.display()));
+    lock.remove(&to);
+    std::fs::rename(results.join("run.json"), to.join("run.json")).unwrap();
+
+    std::fs::write(run(&results, "cluttered").join("metrics.parquet"), "damaged").unwrap();
+    refused(&results, "smoke", "metrics.parquet is damaged");
+    refused(&copy, "smoke", "can't be published into itself; choose another folder");
+    let answer = finish(&mut harness(&results, &["publish", "smoke", "--complete"]));
+    assert!(answer.code == 2 && answer.stderr.contains("--output <DIR>"), "{}", answer.stderr);
+}

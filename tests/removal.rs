@@ -58,12 +58,12 @@ fn garbage_is_listed_with_sizes_and_removed_only_with_consent() {
 fn what_killed_processes_left_in_the_results_folder_is_garbage() {
     let results = results("garbage_unfinished");
     let place = |name: &str| results.join(format!(".unfinished-{name}"));
-    for name in ["import-a1", "unpack-b2", "removal-c3", "import-held"] {
+    for name in ["import-a1", "import-b2", "removal-c3", "import-held"] {
         fs::create_dir(place(name)).unwrap();
         fs::write(place(name).join("episode_00000.parquet"), "a part").unwrap();
     }
     for name in ["Xy12Za", "held12"] {
-        fs::write(place(name), "a part of a pack").unwrap();
+        fs::write(place(name), "a part of a file").unwrap();
     }
     let _folder = FolderLock::attempt(&place("import-held")).unwrap().unwrap();
     let file = fs::File::open(place("held12")).unwrap();
@@ -311,15 +311,15 @@ fn only_run(results: &Path, experiment: &str) -> PathBuf {
 #[test]
 fn the_start_of_an_experiments_name_or_no_text_chooses_no_run() {
     let results = results("beginnings");
-    let pack = fresh("beginnings.pack");
+    let copy = fresh("beginnings_copy");
+    let publish = ["--complete", "--output", copy.to_str().unwrap()];
     for wanted in ["", "smok", "smoke-"] {
-        for arguments in [&["rm", "--yes", wanted][..], &["pack", wanted, "--output", pack.to_str().unwrap()]]
-        {
-            let said = refusal(&results, arguments, 2);
+        for arguments in [vec!["rm", "--yes", wanted], [&["publish", wanted][..], &publish].concat()] {
+            let said = refusal(&results, &arguments, 2);
             assert!(said.starts_with(&format!("no run matches '{wanted}'")), "{said}");
         }
     }
-    assert!(!pack.exists());
+    assert!(!copy.exists());
     assert_eq!(names(&results.join("runs")), ["smoke", "smoke-quick"]);
     succeed(&results, &["rm", "smoke-quick/", "--yes"]);
     assert_eq!(names(&results.join("runs")), ["smoke"]);

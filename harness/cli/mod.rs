@@ -14,7 +14,6 @@ mod inspect;
 mod interrupt;
 mod judge;
 mod layers;
-mod pack;
 mod plot;
 pub mod progress;
 mod publish;
@@ -298,13 +297,17 @@ curves grow during training. The page needs no network and no account, and it ca
 can't reach it, but every user of this machine can read the results through its port. To see the page of another \
 machine, forward its port with `ssh -L 8787:127.0.0.1:8787 MACHINE`, and open http://127.0.0.1:8787.")]
     Serve(serve::Serve),
-    /// Copy results to a folder that is small enough for version control
+    /// Copy results to a folder, small enough for version control or complete
     #[command(after_help = "Examples:
   harness publish smoke --output published
   harness compare smoke --results published
+  harness publish smoke --complete --output moved
+  harness publish smoke --complete --output results --results moved
 
 The command copies records, specs, and the tables epochs, metrics and forces. It copies only those predictions and \
-images that figures show, and networks only with --networks.")]
+images that figures show, and networks only with --networks. With --complete, it \
+copies every file of the runs and their datasets, byte for byte. The last example adds such a copy to another results \
+folder. What is there with the same content is skipped, and nothing with other content is replaced.")]
     Publish(publish::Publish),
     /// Write a trained network as an ONNX model
     #[command(after_help = "Examples:
@@ -316,12 +319,6 @@ The model takes and returns SI units, and images as bytes. docs/networks.md desc
     /// Make a dataset from a recording, with the Python package
     #[command(after_help = IMPORT_HELP)]
     Import(import::Import),
-    /// Write runs with their networks to one file, for another machine
-    #[command(after_help = PACK_HELP)]
-    Pack(pack::Pack),
-    /// Add the runs of a pack to the results folder
-    #[command(after_help = UNPACK_HELP)]
-    Unpack(pack::Unpack),
     /// Check that no file of the results has changed or is missing
     #[command(after_help = "Examples:
   harness verify
@@ -394,22 +391,6 @@ Only the Python package imports recordings: LeRobot datasets, Parquet, CSV, HDF5
 ROS 2 bags. The mapping says what makes up each modality. --inspect lists what is in a recording, and writes a first \
 mapping. \
 docs/exchange.md has an example.";
-
-const PACK_HELP: &str = "Examples:
-  harness pack smoke --output smoke.harness
-  harness pack smoke/empty smoke/cluttered --output two.harness --datasets
-  harness unpack smoke.harness --results unpacked
-
-A pack contains all files of the finished runs: records, specs, tables and networks. It is a plain tar archive. Its \
-file manifest.json lists the versions of the harness and MuJoCo, and the size and SHA-256 of each file. The datasets \
-of built-in worlds can be collected again where the pack is unpacked, so they are packed only with --datasets.";
-
-const UNPACK_HELP: &str = "Examples:
-  harness unpack smoke.harness
-  harness unpack smoke.harness --results unpacked
-
-Every file is checked before the first run appears. Runs that exist already with the same content are skipped. If \
-a run exists with other content, nothing is unpacked.";
 
 const REPORT_HELP: &str = "Examples:
   harness report
@@ -574,8 +555,6 @@ fn execute(
         Command::Publish(publish) => publish.execute(registry),
         Command::Export(export) => export.execute(registry),
         Command::Import(import) => import.execute(registry),
-        Command::Pack(pack) => pack.execute(registry),
-        Command::Unpack(unpack) => unpack.execute(registry),
         Command::Verify => verify::execute(registry),
         Command::World(world) => world.execute(),
         Command::Doctor => doctor::execute(registry, threads),
@@ -596,8 +575,8 @@ impl Command {
             | Self::Publish(_)
             | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
-            Self::Rm(_) | Self::Gc(_) | Self::Pack(_) => true,
-            Self::Unpack(_) | Self::Completions { .. } => false,
+            Self::Rm(_) | Self::Gc(_) => true,
+            Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,
             Self::Render(render) => render.reads_results(),
@@ -636,7 +615,6 @@ fn all_threads() -> usize {
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
         || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
-        || pack::is_cancelled(error)
 }
 
 /// Whether the error is in the arguments, the spec or the query, so that the exit code is [`USAGE`].
@@ -680,7 +658,6 @@ fn is_usage(error: &anyhow::Error) -> bool {
         )
         || submit::is_usage(error)
         || judge::is_usage(error)
-        || pack::is_usage(error)
         || error.is::<world::WorldError>()
         || matches!(
             error.downcast_ref(),

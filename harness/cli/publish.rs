@@ -7,23 +7,27 @@ use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use harness::analysis::{Analysis, AnalysisError, Selection, Setting};
 use harness::numbers::{self, counted};
-use harness::registry::Registry;
+use harness::registry::{Recorded, Registry, RunRecord, Status};
 use harness::tables::schema::Table;
 use harness::transfer::{self, Content, Published};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct Publish {
-    /// Experiments to publish, as `harness ls` names them
+    /// Experiments to publish, as `harness ls` names them; with --complete also runs
     #[arg(value_name = "EXPERIMENT", required = true)]
     experiments: Vec<String>,
     /// The folder to copy to. Other commands read it with --results
-    #[arg(long, short, alias = "to", value_name = "DIR", default_value = "results/reference")]
+    #[arg(long, short, value_name = "DIR", default_value = "results/reference")]
     output: PathBuf,
     /// Copy the trained networks, too, so that `load_model` and `export` work with the copies
     #[arg(long)]
     networks: bool,
+    /// Copy every file of the finished runs and their datasets, to move them to another machine or results folder
+    #[arg(long, requires = "output", conflicts_with_all = ["networks", "without", "settings"])]
+    complete: bool,
     /// Leave out a table; may be given several times
     #[arg(long, value_name = "TABLE", value_parser = optional())]
     without: Vec<Table>,
@@ -41,8 +45,11 @@ fn optional() -> impl TypedValueParser<Value = Table> {
 }
 
 impl Publish {
-    /// Publishes the runs of the experiments that count.
+    /// Publishes the runs of the experiments that count, or all of them completely.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        if self.complete {
+            return self.copy(registry);
+        }
         let (experiments, settings) = (self.experiments.clone(), self.settings);
         let selection = Selection { experiments, settings, ..Selection::default() };
         let analysis = Analysis::new(registry, &selection)?;
@@ -59,6 +66,26 @@ impl Publish {
             eprintln!("warning: {left_out}");
         }
         println!("{}, {} in {}", counted(runs, "run"), numbers::bytes(bytes), self.output.display());
+        Ok(ExitCode::from(DONE))
+    }
+
+    /// Copies runs and their datasets completely.
+    fn copy(self, registry: &Registry) -> Result<ExitCode> {
+        let mut chosen: BTreeMap<PathBuf, RunRecord> = BTreeMap::new();
+        for wanted in &self.experiments {
+            chosen.extend(registry.matching(wanted)?);
+        }
+        let chosen: Vec<Recorded> = chosen.into_iter().collect();
+        let to = Registry::new(&self.output);
+        let copied = transfer::publish_completely(registry, &chosen, &to, &Bars::default())?;
+        for (_, record) in chosen.iter().filter(|(_, record)| record.status != Status::Done) {
+            eprintln!("{} is left out: it is {}", record.name(), record.status.name());
+        }
+        for name in &copied.lacking {
+            eprintln!("dataset {name} is left out: it is not in {}", registry.root().display());
+        }
+        let (folders, size) = (counted(copied.copied, "folder"), numbers::bytes(copied.bytes));
+        println!("{folders}, {size} copied to {}, {} there before", self.output.display(), copied.same);
         Ok(ExitCode::from(DONE))
     }
 }

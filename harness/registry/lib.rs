@@ -9,7 +9,6 @@
 //!     prediction.safetensors, reconstruction.safetensors
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see the crate `catalog`
 //! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`
-//! results/specs/<dataset>.yaml        collects a dataset that unpacked runs used and that was not packed
 //! ```
 
 mod checks;
@@ -141,11 +140,6 @@ impl Registry {
     /// The folder that contains all datasets.
     pub fn datasets(&self) -> PathBuf {
         self.root.join("datasets")
-    }
-
-    /// The spec that collects a dataset which unpacked runs used, if the dataset was not packed.
-    pub fn dataset_spec(&self, dataset: &str) -> PathBuf {
-        self.root.join("specs").join(format!("{dataset}.yaml"))
     }
 
     /// The file of the compiled model that a simulated dataset has, as MJCF. Datasets of earlier versions lack it.

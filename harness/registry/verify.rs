@@ -174,7 +174,7 @@ impl Verification<'_> {
     }
 
     /// Reports missing datasets that finished runs used. This is no damage for published runs, whose datasets are not
-    /// copied, and for datasets that were not packed.
+    /// copied.
     fn datasets_that_are_gone(&self, there: &[PathBuf], report: &mut Report) {
         let there: BTreeSet<_> = there.iter().filter_map(|folder| folder.file_name()?.to_str()).collect();
         let records = || self.recorded.iter().map(|(_, record)| record);
@@ -184,14 +184,6 @@ impl Verification<'_> {
         for name in self.used.keys().filter(|name| !there.contains(*name)) {
             let users = || records().filter(|record| record.episodes_of(name).is_some() && is_gone(record));
             let path = self.registry.datasets().join(name);
-            let spec = self.registry.dataset_spec(name);
-            if spec.is_file() {
-                let users = counted(users().count(), "unpacked run");
-                let problem = format!("{users} used this dataset, which was not packed");
-                let collect = self.registry.command(&format!("collect {}", path_word(&spec)));
-                report.note(&path, problem, Some(collect));
-                continue;
-            }
             let again: Vec<Again> = users().map(|record| self.commands.collect(record)).collect();
             let runs = counted(users().count(), "finished run");
             let problem = format!("{runs} used this dataset, which is not there");

@@ -1,11 +1,10 @@
-//! Moves runs and datasets: into one file and out of it (packs), to a folder for version control (published copies),
-//! and away (removal).
+//! Copies runs to another folder, completely or fit for version control, and removes runs and datasets.
 
-mod pack;
+mod complete;
 mod publish;
 mod removal;
 
-pub use pack::{PackError, Packed, Unpacked, pack, unpack};
+pub use complete::{Completed, publish_completely};
 pub use publish::{Content, PublishError, Published, publish};
 pub use removal::{Garbage, Removable, garbage, remove};
 

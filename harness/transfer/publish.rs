@@ -21,6 +21,20 @@ pub enum PublishError {
     /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
     #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
     NotPublished(PathBuf),
+    /// None of the chosen runs is done.
+    #[error("none of these runs is done, so there is nothing to copy; `{0}` shows why")]
+    NotDone(String),
+    /// A run or a dataset is there with other content.
+    #[error(
+        "{} exists already with other content ({file}); nothing was copied. Choose another folder, or remove what is \
+         there", folder.display()
+    )]
+    Differs {
+        /// The folder of the run or the dataset.
+        folder: PathBuf,
+        /// The file that differs.
+        file: String,
+    },
     /// Another process works in the folder of a copy.
     #[error(transparent)]
     Busy(#[from] Busy),

@@ -21,7 +21,7 @@ pub enum Garbage {
     Quick,
     /// A simulated dataset that no run uses.
     Unused,
-    /// What a killed process left in the results folder: a part of a pack, of an import or of a removed folder.
+    /// What a killed process left in the results folder: a part of an import or of a removed folder.
     Unfinished,
 }
 

@@ -224,7 +224,7 @@ def test_torchscript_and_onnx_files_are_attached(results, tmp_path):
     run = task.submit(zeros, model="negative", network=tmp_path / "negative.onnx", progress=False).run
     session = harness.load_network(run, results=results)
     assert session.run(None, {"x": np.ones(1, np.float32)})[0] == [-1]
-    # The run is complete in a pack, and without the file it is damaged.
+    # The file belongs to the run, which is damaged without it.
     file = results / "runs" / run / "network.onnx"
     assert file.read_bytes() == (tmp_path / "negative.onnx").read_bytes()
     file.write_bytes(b"x" + file.read_bytes()[1:])

@@ -578,7 +578,7 @@ def test_windows_from_rest_have_all_samples_since_the_start(copy: Path, folders:
 
 
 def test_the_file_of_a_model_goes_with_its_run(copy: Path, tmp_path: Path) -> None:
-    """From Python and from the command line, and through a pack."""
+    """From Python and from the command line, and into a complete copy."""
     task = vectors(copy)
     (tmp_path / "net.onnx").write_bytes(b"layers and weights")
     (tmp_path / "net.txt").write_bytes(b"layers and weights")
@@ -603,10 +603,9 @@ def test_the_file_of_a_model_goes_with_its_run(copy: Path, tmp_path: Path) -> No
     answer = call(*judge, "net.onnx")
     assert answer.returncode == 0, answer.stderr
     task.submit(last, model="called", network=tmp_path / "net.onnx", progress=False)
-    answer = call("pack", task.experiment, "--output", "all.harness")
+    answer = call("publish", task.experiment, "--complete", "--output", "copied")
     assert answer.returncode == 0, answer.stderr
-    assert call("unpack", "all.harness", "--results", tmp_path / "unpacked").returncode == 0
-    for results in (copy, tmp_path / "unpacked"):
+    for results in (copy, tmp_path / "copied"):
         attached = sorted((results / "runs" / task.experiment).glob("*/network.onnx"))
         assert [path.read_bytes() for path in attached] == [b"layers and weights"] * 2
     assert harness.verify(copy) == []
