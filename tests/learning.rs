@@ -1168,19 +1168,15 @@ fn checkpoints_bring_back_parameters_and_scales() {
 }
 
 #[test]
-fn checkpoints_describe_their_network_and_older_ones_are_read() {
+fn checkpoints_describe_their_network() {
     let bench = Bench::with_deep_network();
     let (_, trained) = bench.train_undisturbed(7);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("network.safetensors");
     checkpoint::save(&path, &trained, &bench.data.normalizers, &bench.description()).unwrap();
-    let TensorFile { tensors, note } = TensorFile::read(&path).unwrap();
+    let note = TensorFile::read(&path).unwrap().note;
     assert_eq!(note["network"].to_string(), bench.description().json());
     assert_eq!(note["network"]["outputs"][1]["minimum"], 0.0);
-    TensorFile { tensors, note: Default::default() }.write(&path).unwrap();
-    let (_, other) = bench.train_undisturbed(8);
-    assert_eq!(checkpoint::load(&path, &other).unwrap(), *bench.data.normalizers);
-    assert!(bits(&trained) == bits(&other));
 }
 
 #[test]

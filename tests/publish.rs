@@ -141,7 +141,7 @@ fn a_single_run_of_a_sweep_can_be_queried() {
 #[test]
 fn each_reading_and_role_keeps_the_forces_of_one_run_a_dataset() {
     let (results, copy) = (fresh("published-readings-from"), fresh("published-readings"));
-    let readings = "\nroles:\n  smoke: {}\nreadings:\n  - {name: narrow, choice: the width, base: wide, instead: \
+    let readings = "\nvary: {role: {smoke: {}}}\nreadings:\n  - {name: narrow, choice: the width, base: wide, instead: \
                     narrow, paper: none, settings: {network.hidden: [8]}}\n";
     let folder = tempfile::tempdir().unwrap();
     let spec = folder.path().join("readings.yaml");

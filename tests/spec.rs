@@ -1195,8 +1195,10 @@ fn an_ablation_that_leaves_nothing_out_is_refused() {
 }
 
 #[test]
-fn roles_keep_the_order_of_the_spec() {
-    let text = format!("{BASE}roles: {{touch: {{}}, arm: {{input: arm}}, both: {{input: [arm, vision]}}}}\n");
+fn labels_keep_the_order_of_the_spec() {
+    let text = format!(
+        "{BASE}vary: {{role: {{touch: {{}}, arm: {{input: arm}}, both: {{input: [arm, vision]}}}}}}\n"
+    );
     let text = text.replace("single_to_multi", "multi_to_multi").replace("[empty, cluttered]", "empty");
     let variants = |experiment: &spec::Experiment| -> Vec<String> {
         let mut variants: Vec<String> = experiment.runs().iter().map(|run| run.variant.clone()).collect();
@@ -1208,7 +1210,6 @@ fn roles_keep_the_order_of_the_spec() {
     assert_eq!(variants(&load(&experiment.to_yaml())), variants(&experiment));
 }
 
-/// The same runs as with `roles`, whose variants they name alike.
 #[test]
 fn labels_of_an_axis_make_runs_and_build_on_each_other() {
     let axis = |name: &str| {
@@ -1225,10 +1226,6 @@ fn labels_of_an_axis_make_runs_and_build_on_each_other() {
     );
     assert_eq!(runs[0].input, [Modality::ARM]);
     assert_eq!([0, 4].map(|index| runs[index].trained().unwrap().training.dropout), [0.5, 0.1]);
-    let roles =
-        "roles: {both: {input: arm, training.dropout: 0.5}, arm: {input: arm, training.dropout: 0.1}}\n";
-    let old = load(&format!("{BASE}{roles}vary: {{training.epochs: [7, 5]}}\n")).runs();
-    assert_eq!(load(&axis("role")).runs(), old);
     // The command line replaces the values of settings, and leaves axes with labels.
     let one =
         load_with(axis("senses"), &["vary={training.epochs: [3]}", "training.dropout=0"], false).unwrap();
@@ -1260,10 +1257,6 @@ fn labels_of_an_axis_make_runs_and_build_on_each_other() {
         (
             "vary: {hidden: {a: {}}}\n",
             "spec.yaml:7:16: 'hidden' can't name an axis with labels, because it has another meaning; use another name",
-        ),
-        (
-            "vary: {role: {a: {}}}\nroles: {a: {}}\n",
-            "spec.yaml:8:1: 'roles' is the same as 'vary.role'; leave one of them out",
         ),
     ]);
 }
@@ -1336,8 +1329,8 @@ fn own_worlds_and_modalities_have_settings_by_dotted_key() {
     let text = BASE
         .replace("[proprioception, contact_force]", "[proprioception, grip]")
         .replace("cluttered", "own.yaml")
-        + "vary: {scaling.grip.scale: [shared, per_element], simulation.hand_range: [[0, 1], [0, 2]]}\n\
-           roles: {plain: {}, heavy: {training.loss_weights.grip: 10, training.losses.grip: huber}}\n\
+        + "vary: {scaling.grip.scale: [shared, per_element], simulation.hand_range: [[0, 1], [0, 2]],\n  \
+           role: {plain: {}, heavy: {training.loss_weights.grip: 10, training.losses.grip: huber}}}\n\
            quick: {training.loss_weights.grip: 2}\n";
     // Keys that no world has are refused when the world is known. The keys themselves are allowed.
     let said = refusal(&text);
@@ -1454,7 +1447,7 @@ fn a_reading_weights_outputs_that_only_some_roles_have() {
     let reading = "readings: [{name: heavy, choice: c, base: b, instead: i, paper: p, settings: \
         {training.loss_weights.arm: 3, training.loss_weights.contact_force: 2}}]\n";
     let text = format!(
-        "{}roles: {{small: {{output: [contact_force]}}, large: {{output: [arm, contact_force]}}}}\n{reading}",
+        "{}vary: {{role: {{small: {{output: [contact_force]}}, large: {{output: [arm, contact_force]}}}}}}\n{reading}",
         BASE.replace("latent: [2, 4]", "latent: [2]")
     );
     let weights = |role: &str| {
@@ -1484,8 +1477,9 @@ fn readings() -> String {
     };
     let lists = reading("target", "action: target") + &reading("long", "training.epochs: 7, split.by: time");
     base_with("scenarios: [empty]")
-        + "roles: {small: {latent: 2, output: contact_force}, large: {latent: [4], training.epochs: 9}}\n"
-        + &format!("readings:\n{lists}vary: {{simulation.seed: [0, 5]}}\n")
+        + &format!("readings:\n{lists}vary:\n")
+        + "  role: {small: {latent: 2, output: contact_force}, large: {latent: [4], training.epochs: 9}}\n"
+        + "  simulation.seed: [0, 5]\n"
 }
 
 #[test]
@@ -1572,7 +1566,7 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
              level",
         ),
         (&reading("target", "latent: [2]"), "spec.yaml:7:80: unknown key 'latent' in 'readings.settings'"),
-        ("roles: {small: {seeds: [1]}}\n", "spec.yaml:7:17: unknown key 'seeds' in 'vary.role.small'"),
+        ("vary: {role: {small: {seeds: [1]}}}\n", "spec.yaml:7:24: unknown key 'seeds' in 'vary.role.small'"),
     ];
     for (addition, expected) in unknown {
         let said = refusal(format!("{BASE}{addition}"));

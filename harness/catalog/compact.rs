@@ -15,7 +15,7 @@ use harness_shared::files::{FolderLock, sorted};
 use harness_shared::seal::hex;
 use harness_sql::{Condition, Terms};
 use harness_tables::schema::{Column, Table};
-use harness_tables::{Stamp, TableFile, asked_columns, read_footer, stacked, write_table};
+use harness_tables::{Stamp, TableFile, asked_columns, stacked, write_table};
 use polars::prelude::*;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -229,10 +229,7 @@ impl RunTable {
         let mut segments: Vec<Segment> = Vec::new();
         let mut left = limit.unwrap_or(usize::MAX);
         for (index, (file, place)) in self.files.iter().zip(places).enumerate() {
-            // Records of earlier versions do not contain the number of rows. Reading a damaged file fails later.
-            let counted =
-                || limit.and_then(|_| read_footer(&self.path(&file.run)).ok()).map(|footer| footer.rows);
-            let rows = file.listed.rows.or_else(counted).unwrap_or(usize::MAX);
+            let rows = file.listed.rows.unwrap_or(usize::MAX);
             let own = Segment { place: Place::File(index), offset: 0, rows };
             let mut next = place.unwrap_or(own);
             next.rows = next.rows.min(left);

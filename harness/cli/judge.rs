@@ -73,7 +73,7 @@ pub enum TaskError {
 #[derive(Args)]
 pub struct Choice {
     /// The task, if the experiment has several: a scenario, or a name that `harness task` lists
-    #[arg(long, value_name = "NAME", alias = "scenario")]
+    #[arg(long, value_name = "NAME")]
     cell: Option<String>,
 }
 

@@ -86,8 +86,6 @@ pub struct Run {
     /// Stop after the first run that fails
     #[arg(long)]
     fail_fast: bool,
-    #[command(flatten)]
-    gone: Gone,
 }
 
 /// Which settings a dry run prints.
@@ -106,19 +104,6 @@ pub struct Share {
     /// several machines that share the results folder
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-}
-
-/// Options of earlier versions.
-#[derive(Args)]
-struct Gone {
-    /// No longer used
-    #[arg(long, value_name = "DIR", hide = true, value_parser = no_models)]
-    models: Option<String>,
-}
-
-fn no_models(_: &str) -> Result<String, String> {
-    Err("this option is gone: name a world file in the spec's scenarios; `harness world new MODEL.xml` writes \
-         one".into())
 }
 
 /// Parses a number of gigabytes, and returns bytes.
@@ -244,8 +229,6 @@ pub struct Collect {
     spec: Spec,
     #[command(flatten)]
     share: Share,
-    #[command(flatten)]
-    gone: Gone,
 }
 
 impl Collect {

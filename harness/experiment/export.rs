@@ -1,6 +1,6 @@
 //! The files of a run's trained networks, and the networks as ONNX models.
 
-use crate::model::{ModelError, finished};
+use crate::model::{ModelError, finished, there};
 use harness_learning::network::architecture;
 use harness_learning::network::description::Description;
 use harness_learning::onnx::{self, Described};
@@ -9,25 +9,17 @@ use harness_registry::{Registry, RunFolder, RunRecord};
 use harness_spec::{Task, Trained};
 use std::path::PathBuf;
 
-/// A trained network's file.
-pub struct NetworkFile {
-    /// What the network was trained for.
-    pub task: Task,
-    /// Path of the file.
-    pub path: PathBuf,
-    /// The network's description. Files of earlier versions do not contain it; it then comes from the run's spec.
-    pub description: Description,
-}
-
-/// Returns the network files of the finished run whose id, or `experiment/id`, begins with `wanted`.
+/// Returns the task and the path of each network file of the finished run whose id, or `experiment/id`, begins with
+/// `wanted`.
 ///
 /// # Errors
 /// When no run or several runs match, the run isn't done, or a network is missing or damaged.
-pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<NetworkFile>, ModelError> {
-    let (folder, record, trained) = finished(registry, wanted)?;
+pub fn network_files(registry: &Registry, wanted: &str) -> Result<Vec<(Task, PathBuf)>, ModelError> {
+    let (folder, record, _) = finished(registry, wanted)?;
     let file = |task: &Task| {
-        let Described { description, .. } = described(&folder, &record, &trained, *task)?;
-        Ok(NetworkFile { task: *task, path: folder.checkpoint(*task), description })
+        let path = folder.checkpoint(*task);
+        checkpoint::open(there(&path)?)?;
+        Ok((*task, path))
     };
     record.spec.tasks.iter().map(file).collect()
 }
@@ -81,10 +73,7 @@ fn described(
     task: Task,
 ) -> Result<Described, ModelError> {
     let path = folder.checkpoint(task);
-    if !path.exists() {
-        return Err(ModelError::NoNetwork(path));
-    }
-    let (file, normalizers) = checkpoint::open(&path)?;
+    let (file, normalizers) = checkpoint::open(there(&path)?)?;
     let network = architecture(&record.spec, trained, &record.layout, task);
     let losses = &trained.training.losses;
     let description = Description::new(&network, task, record.spec.action, losses, &normalizers);

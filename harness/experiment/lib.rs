@@ -10,7 +10,7 @@ mod search;
 mod simulator;
 mod worlds;
 
-pub use export::{NetworkFile, attached, may_have_network, network_files, onnx};
+pub use export::{attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
 pub use model::{Model, ModelError, Values};
 pub use rollout::{Rollout, RolloutError, rollout};

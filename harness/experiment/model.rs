@@ -278,7 +278,8 @@ pub(crate) fn normalizers(path: &Path) -> Result<Normalizers, ModelError> {
     Ok(checkpoint::open(there(path)?)?.1)
 }
 
-fn there(path: &Path) -> Result<&Path, ModelError> {
+/// Refuses the path of a network of which there is no file.
+pub(crate) fn there(path: &Path) -> Result<&Path, ModelError> {
     if path.exists() { Ok(path) } else { Err(ModelError::NoNetwork(path.to_owned())) }
 }
 

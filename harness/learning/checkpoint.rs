@@ -58,7 +58,7 @@ pub fn load(path: &Path, parameters: &Parameters) -> Result<Normalizers, Learnin
     Ok(normalizers)
 }
 
-/// Reads a file that [`save`] has written, with its normalizers. Files of earlier versions have no description.
+/// Reads a file that [`save`] has written, with its normalizers.
 ///
 /// # Errors
 /// When the file is damaged. The error names it.

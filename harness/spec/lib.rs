@@ -148,7 +148,6 @@ fn load_tree(
     if worlds.purpose == Purpose::Task {
         add_network(&mut tree);
     }
-    vary::move_roles(&mut tree)?;
     schema::list_single_values(&mut tree);
     vary::complete(&mut tree)?;
     resolve(worlds, &tree)?;

@@ -6,10 +6,8 @@ use harness_yaml::{Entry, Node, Problem, Value, unknown};
 
 /// Key of the axes in which runs differ.
 pub(super) const VARY: &str = "vary";
-/// Name of the axis whose labels were under `roles` in earlier versions, and which claims compare under `readings`.
+/// Name of the axis whose labels claims compare under `readings`.
 pub(super) const ROLE: &str = "role";
-/// Key of the labels of [`ROLE`] in specs of earlier versions.
-const ROLES: &str = "roles";
 /// The key of the modalities that the encoder gets.
 const INPUT: &str = "input";
 
@@ -28,31 +26,6 @@ pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
     let Some(quick) = tree.get_mut("quick") else { return Ok(()) };
     let input = quick.get(INPUT).cloned().or(input);
     axes(quick.get_mut(VARY), input.as_ref())
-}
-
-/// Makes the roles of a spec of an earlier version its first axis, `role`.
-///
-/// # Errors
-/// When the spec also has this axis.
-pub(super) fn move_roles(tree: &mut Node) -> Result<(), Problem> {
-    let Value::Section(entries) = &mut tree.value else { return Ok(()) };
-    let Some(index) = entries.iter().position(|entry| entry.key == ROLES) else { return Ok(()) };
-    let mut roles = entries.remove(index);
-    ROLE.clone_into(&mut roles.key);
-    match entries.iter_mut().find(|entry| entry.key == VARY) {
-        Some(vary) if vary.node.get(ROLE).is_some() => {
-            let message = format!("'{ROLES}' is the same as '{VARY}.{ROLE}'; leave one of them out");
-            return Err(Problem::new(&roles.key_place, message));
-        }
-        Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) => axes.insert(0, roles),
-        Some(_) => {}
-        None => {
-            let key_place = roles.key_place.clone();
-            let node = Node { place: key_place.clone(), value: Value::Section(vec![roles]) };
-            entries.push(Entry { key: VARY.into(), key_place, node });
-        }
-    }
-    Ok(())
 }
 
 /// Completes the axes under one `vary`, if there is one. `input` is that of the spec.

@@ -709,7 +709,7 @@ def load_network(run: str, results: str | os.PathLike[str] = "results") -> "Netw
         from .networks import Network, NetworkFile
     except ImportError as error:
         raise ImportError(f"load_network needs PyTorch: pip install torch safetensors ({error})") from error
-    files = {task: NetworkFile(path, json.loads(text)) for task, path, text in _harness.networks(run, folder)}
+    files = {task: NetworkFile(path) for task, path in _harness.networks(run, folder)}
     return Network(files["prediction"], files.get("reconstruction"))
 
 

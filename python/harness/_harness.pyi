@@ -113,7 +113,7 @@ def read_mapping(path: Path) -> str:
     Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.
     """
 
-def networks(run: str, results: Path) -> list[tuple[str, Path, str]]:
+def networks(run: str, results: Path) -> list[tuple[str, Path]]:
     """Task, path and description, as JSON, of each network of a run; see `harness.load_network`."""
 
 def may_have_network(run: str, results: Path) -> bool:

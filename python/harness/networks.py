@@ -32,7 +32,6 @@ class NetworkFile:
 
     Args:
         path: the file.
-        description: the description to use if the file has none. Files of earlier versions have none.
 
     Attributes:
         tensors: the tensors by name.
@@ -43,16 +42,16 @@ class NetworkFile:
         ValueError: the file is not that of a network, or has no description, or one of another version.
     """
 
-    def __init__(self, path: str | os.PathLike[str], description: dict[str, Any] | None = None) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         try:
             with safe_open(path, "pt") as file:
                 self.tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
                 note = json.loads((file.metadata() or {}).get("harness", "{}"))
         except SafetensorError as error:
             raise ValueError(f"{path} is not the file of a network: {error}") from None
-        found = note.get("network", description)
+        found = note.get("network")
         if found is None:
-            raise ValueError(f"{path} has no description of a network; load it by the name of its run")
+            raise ValueError(f"{path} has no description of a network")
         if found["format"] not in FORMATS:
             known = ", ".join(map(str, FORMATS))
             raise ValueError(f"{path} has format {found['format']} of the description; this version reads {known}")

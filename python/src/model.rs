@@ -185,13 +185,13 @@ impl Model {
     }
 }
 
-/// Returns the task, the path and the description, as JSON, of each network of a run; see `harness.load_network`.
+/// Returns the task and the path of each network of a run; see `harness.load_network`.
 #[pyfunction]
-pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'static str, PathBuf, String)>> {
+pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'static str, PathBuf)>> {
     let registry = experiment::results(results);
     registry.check_there().map_err(Raise::raise)?;
     let found = detached(py, || experiment::network_files(&registry, run))?.map_err(Raise::raise)?;
-    Ok(found.into_iter().map(|file| (file.task.name(), file.path, file.description.json())).collect())
+    Ok(found.into_iter().map(|(task, path)| (task.name(), path)).collect())
 }
 
 /// Whether a run of a results folder whose id, or `EXPERIMENT/ID`, begins with `run` may have a network. Published
