@@ -1158,7 +1158,7 @@ fn checkpoints_bring_back_parameters_and_scales() {
     let normalizers = checkpoint::load(&path, &other).unwrap();
     assert!(bits(&trained) == bits(&other));
     assert_eq!(normalizers, *bench.data.normalizers);
-    // Forces have a minimum, and angles have none. Networks of earlier versions were saved without a minimum.
+    // Forces have a minimum, and angles have none.
     let minimum = |modality| normalizers.modalities[&modality].minimum;
     assert_eq!((minimum(Modality::CONTACT_FORCE), minimum(Modality::PROPRIOCEPTION)), (Some(0.0), None));
     let bytes = std::fs::read(&path).unwrap();

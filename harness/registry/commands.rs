@@ -210,7 +210,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// Parses a command of the harness. Returns `None` if it names no spec, or uses `--models`.
+    /// Parses a command of the harness. Returns `None` if it names no spec.
     pub fn of(command: &str) -> Option<Self> {
         let mut asked = Self::default();
         let mut words = shlex::split(command)?.into_iter().skip(1);
@@ -218,8 +218,6 @@ impl Asked {
             match word.as_str() {
                 "run" | "collect" => {}
                 "--quick" => asked.quick = true,
-                // Earlier versions read other models from a folder; runs with them can't be made again.
-                option if option.starts_with("--models") => return None,
                 "--results" | "--threads" | "--jobs" | "--where" => drop(words.next()),
                 option if option.starts_with('-') => {}
                 path if asked.spec.as_os_str().is_empty() => asked.spec = path.into(),

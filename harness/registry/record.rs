@@ -196,8 +196,7 @@ pub struct RunRecord {
     /// Name of the folder of the dataset that only the test uses; `None` if the run has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub test_dataset: Option<String>,
-    /// When the run was started, in UTC, such as `2026-01-31T12:00:00.123456Z`. Records of earlier versions have whole
-    /// seconds.
+    /// When the run was started, in UTC, such as `2026-01-31T12:00:00.123456Z`.
     pub started: String,
     /// Wall times of a finished run; `None` before.
     pub timings: Option<Timings>,
