@@ -939,7 +939,7 @@ fn any_runs_can_stand_for_a_role() {
                         seeds: [0]\ntasks: [prediction]\nnetwork: {preset: single_to_multi, hidden: [4]}\n\
                         simulation: {episodes: 4, actuations_per_episode: 3}\n\
                         training: {epochs: 1, batch_size: 16}\n";
-    const VARY: &str = "vary: {training.kl_weight: [0.001, 0.01]}\n";
+    const VARY: &str = "vary:\n  training.kl_weight: [0.001, 0.01]\n";
     const CLAIMS: &str = "
 - id: forces
   statement: There are forces.
@@ -962,7 +962,7 @@ fn any_runs_can_stand_for_a_role() {
     let (results, at) = (folder.path().join("results"), |name: &str| folder.path().join(name));
     let write = |name: &str, text: String| std::fs::write(at(name), text).unwrap();
     write("plain.yaml", format!("name: plain\n{SPEC}{VARY}"));
-    write("roles.yaml", format!("name: roles\n{SPEC}{VARY}roles: {{one: {{}}, other: {{latent: [3]}}}}\n"));
+    write("roles.yaml", format!("name: roles\n{SPEC}{VARY}  role: {{one: {{}}, other: {{latent: [3]}}}}\n"));
     write("claims.yaml", CLAIMS.to_owned());
     for name in ["plain.yaml", "roles.yaml"] {
         succeed(&results, &["run", at(name).to_str().unwrap()]);
@@ -974,7 +974,7 @@ fn any_runs_can_stand_for_a_role() {
         ("roles", "role=one,kl_weight=0.01"),
     ] {
         let reading = format!(
-            "roles: {{single_to_multi: {{}}, multi_to_multi: {{latent: [3]}}}}\nreadings:\n- name: other\n  \
+            "vary: {{role: {{single_to_multi: {{}}, multi_to_multi: {{latent: [3]}}}}}}\nreadings:\n- name: other\n  \
              choice: what\n  base: this\n  instead: that\n  paper: nothing\n  settings: {{network.hidden: [5]}}\n  \
              runs: {{single_to_multi: {{experiment: {experiment}, variant: '{variant}'}}}}\n"
         );

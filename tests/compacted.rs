@@ -357,23 +357,6 @@ fn a_query_is_repeated_without_a_run_that_is_removed_meanwhile() {
 }
 
 #[test]
-fn a_limit_counts_rows_of_records_without_their_number() {
-    let results = fresh("compacted-unlisted");
-    write_runs(&results, "few", 0..3, 0.1);
-    let rows = |limit: usize| {
-        let sql = format!("select * from epochs limit {limit}");
-        query(&Registry::new(&results), &sql).unwrap()
-    };
-    let listed = [1, 4, 6, 100].map(rows);
-    for seed in 0..3 {
-        set_in_record(&folder(&results, "few", seed), "/files/epochs.parquet/rows", serde_json::Value::Null);
-    }
-    let unlisted = [1, 4, 6, 100].map(rows);
-    assert_eq!(listed.each_ref().map(DataFrame::height), [1, 4, 6, 12]);
-    assert!(listed.iter().zip(&unlisted).all(|(listed, unlisted)| listed.equals_missing(unlisted)));
-}
-
-#[test]
 fn processes_that_read_at_once_get_the_same_answers() {
     let results = fresh("compacted-at-once");
     write_runs(&results, "many", 0..150, 0.1);

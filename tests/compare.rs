@@ -485,7 +485,7 @@ fn roles_and_inputs_without_one_modality_have_short_names() {
         let header = printed.lines().next().unwrap().split('|').map(|cell| cell.trim().to_owned());
         header.filter(|cell| !cell.is_empty()).collect()
     };
-    spec("roles", "roles: {touch: {input: [contact_force]}, no_touch: {input: [proprioception]}}\n");
+    spec("roles", "vary: {role: {touch: {input: [contact_force]}, no_touch: {input: [proprioception]}}}\n");
     assert_eq!(header("roles", &[]), ["touch", "no_touch"]);
     assert_eq!(header("roles", &["--by", "input"]), ["contact_force", "proprioception"]);
     spec(

@@ -1566,7 +1566,7 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
              level",
         ),
         (&reading("target", "latent: [2]"), "spec.yaml:7:80: unknown key 'latent' in 'readings.settings'"),
-        ("vary: {role: {small: {seeds: [1]}}}\n", "spec.yaml:7:24: unknown key 'seeds' in 'vary.role.small'"),
+        ("vary: {role: {small: {seeds: [1]}}}\n", "spec.yaml:7:23: unknown key 'seeds' in 'vary.role.small'"),
     ];
     for (addition, expected) in unknown {
         let said = refusal(format!("{BASE}{addition}"));

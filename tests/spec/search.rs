@@ -433,7 +433,7 @@ fn a_search_that_cannot_be_drawn_or_compared_is_refused() {
         ),
         (
             "search:\n",
-            "roles: {one: {training.learning_rate: 0.1}}\nsearch:\n",
+            "vary: {role: {one: {training.learning_rate: 0.1}}}\nsearch:\n",
             "spec.yaml:14:29: 'training.learning_rate' is also in 'vary.role'; leave it out of one of them",
         ),
         (
