@@ -1,6 +1,6 @@
 //! Compacted tables give the same answers as the runs' own files, even after changes and damage to either.
 
-use crate::common::{SMOKE, copy_folder, finish, fresh, harness, set_in_record, succeed};
+use crate::common::{SMOKE, copy_folder, finish, fresh, harness, succeed};
 use harness::analysis::compare;
 use harness::catalog::{QueryError, query, query_of};
 use harness::experiment::provenance;

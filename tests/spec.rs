@@ -1577,7 +1577,7 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
     let said = refusal(format!("{BASE}{others}"));
     assert!(said.starts_with("spec.yaml:7:") && said.contains("'small' is no label"), "{said}");
     let twice = readings().replace("name: long", "name: target");
-    assert_eq!(refusal(twice), "spec.yaml:10:10: there is a reading 'target' already");
+    assert_eq!(refusal(twice), "spec.yaml:9:10: there is a reading 'target' already");
     assert!(override_refusal("readings=[]").starts_with("override 'readings=[]': unknown key 'readings'"));
 }
 
