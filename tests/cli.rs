@@ -962,7 +962,7 @@ fn a_latent_state_that_nothing_uses_is_shown_with_its_divergence() {
 
 #[test]
 fn what_was_probably_meant_is_named() {
-    let cases: [(&[&str], &[&str]); 14] = [
+    let cases: [(&[&str], &[&str]); 13] = [
         (&["rnu"], &["'run'"]),
         (&["world", "chekc", "empty"], &["'check'"]),
         (
@@ -974,15 +974,14 @@ fn what_was_probably_meant_is_named() {
         ),
         (&["diff", "smoke/none", "smoke/empty"], &["the runs of this experiment are "]),
         (&["ls", "smok"], &["no run of 'smok' has started; did you mean 'smoke'?"]),
-        (&["plot", "--x", "latent", "--y", "R2"], &["did you mean 'r2'? available: "]),
+        (&["plot", "--x", "latent", "--metrics", "R2"], &["did you mean 'r2'? the metrics are"]),
         (
-            &["plot", "--x", "latent", "--y", "r2", "--modality", "contact_forc"],
+            &["plot", "--x", "latent", "--metrics", "r2", "--of", "contact_forc"],
             &["did you mean 'contact_force'?"],
         ),
         (&["compare", "--metrics", "R2"], &["there is no metric 'R2'; did you mean 'r2'? the metrics are"]),
         (&["compare", "--models", "rigde"], &["there is no model 'rigde'; did you mean 'ridge'?"]),
-        (&["compare", "--modality", "visoin"], &["no run predicts 'visoin'; did you mean"]),
-        (&["compare", "--horizon", "0.5s"], &["a number of samples, not a time", "0.5 s are 5 samples"]),
+        (&["compare", "--of", "visoin"], &["no run predicts 'visoin'; did you mean"]),
         (
             &["render", "smoke/empty", "--horizon", "0.5s", "--output", "x.png"],
             &["a number of samples, not a time"],

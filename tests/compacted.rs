@@ -1,7 +1,7 @@
 //! Compacted tables give the same answers as the runs' own files, even after changes and damage to either.
 
 use crate::common::{SMOKE, copy_folder, finish, fresh, harness, succeed};
-use harness::analysis::compare;
+use harness::analysis::Question;
 use harness::catalog::{QueryError, query, query_of};
 use harness::experiment::provenance;
 use harness::judge::{MetricRow, PredictionRow};
@@ -96,7 +96,7 @@ fn answers(results: &Path) -> Vec<DataFrame> {
         .iter()
         .map(|sql| query(&registry, sql).unwrap_or_else(|error| panic!("{sql}: {error}")))
         .collect();
-    answers.push(compare(&registry, &[], &[], &Default::default()).unwrap());
+    answers.push(Question::default().ask(&registry).unwrap().frame().unwrap());
     assert_eq!(registry.left_out(), Vec::<String>::new());
     answers
 }

@@ -3,8 +3,12 @@
 use crate::common::{SMOKE, ask, copy_folder, finish, fresh, harness, succeed};
 use crate::report::PENDULUM;
 use crate::terminal::{plain, raw, too_wide};
+use harness::metrics::rounded;
 use harness::numbers::by_value;
-use std::collections::BTreeMap;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
@@ -93,7 +97,8 @@ fn cells_are_means_and_intervals_of_tables_with_the_best_bold() {
     }
     assert!(
         printed.ends_with(
-            "\n\nsmoke; mean ± half of the 95 % interval over 2 seeds; bold: the best of its row\n"
+            "\n\nsmoke; mean ± half of the 95 % interval over 2 seeds; predictions of the next sample; bold: the best of its \
+             row\n"
         )
     );
 }
@@ -324,7 +329,9 @@ fn no_number_or_arrow_of_a_comparison_is_broken_at_any_width() {
 #[test]
 fn many_columns_of_a_text_are_rows() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    let print = |option: &[&str]| succeed(&reference, &[&["compare", "memory"][..], option].concat());
+    let print = |option: &[&str]| {
+        succeed(&reference, &[&["compare", "memory", "--horizon", "1"][..], option].concat())
+    };
     let (short, all) = (print(&[]), print(&["--all"]));
     assert!(short.lines().all(|line| line.chars().count() < 170 || line.contains("; ")), "{short}");
     let part = |text: &str| text.split("cluttered, latent 64\n").nth(1).unwrap().to_owned();
@@ -340,52 +347,142 @@ fn many_columns_of_a_text_are_rows() {
     assert!(all.contains("\nridge, all_senses ") && !all.contains("left out"), "{all}");
 }
 
+/// Options of a random question about runs of the experiment `smoke`.
+fn random_question(random: &mut impl Rng) -> Vec<String> {
+    let choices: [(&str, &[&str]); 9] = [
+        (
+            "--metrics",
+            &["r2", "rmse", "mae", "wmape,r2", "skill", "skill_horizon", "relative_error", "kl,active"],
+        ),
+        (
+            "--of",
+            &[
+                "contact_force",
+                "proprioception",
+                "vision",
+                "contact_force,proprioception",
+                "frame_difference",
+            ],
+        ),
+        ("--models", &["network", "network,persistence", "ridge", "persistence,training_mean"]),
+        ("--task", &["prediction", "reconstruction"]),
+        ("--horizon", &["1", "2", "4", "1,4", "0.1s", "0.4s"]),
+        ("--by", &["latent", "scenario", "latent,scenario", "horizon", "experiment", "input", "variant"]),
+        ("--where", &["latent=4", "scenario=empty", "seed=0"]),
+        ("--against", &["latent 4", "persistence", "network"]),
+        ("--interval", &["mean", "next-dataset"]),
+    ];
+    let mut question = Vec::new();
+    for (option, values) in choices {
+        if random.random_bool(0.35) {
+            question.extend([option.to_owned(), values[random.random_range(0..values.len())].to_owned()]);
+        }
+    }
+    question
+}
+
+/// The numbers of a table of documents as they are printed: the cells below headings, without marks.
+fn numbers(header: &[&str], rows: &[Vec<&str>]) -> BTreeSet<String> {
+    let first = header.iter().take_while(|title| title.is_empty()).count();
+    let cells = rows.iter().flat_map(|row| &row[first..]).filter(|cell| !cell.is_empty());
+    cells.map(|cell| cell.replace("**", "")).collect()
+}
+
+/// Asks random questions in every format. Either all answers have the same numbers, or all say the same why there is
+/// none.
+fn check_renderings(questions: usize) {
+    let mut random = ChaCha8Rng::seed_from_u64(45);
+    let (folder, mut answered) = (tempfile::tempdir().unwrap(), 0);
+    let plot = folder.path().join("plot.csv").display().to_string();
+    for place in 0..questions {
+        let results = if place % 2 == 0 { &*RESULTS } else { &*crate::horizons::RESULTS };
+        let question = random_question(&mut random);
+        let ask = |command: &str, more: &[&str]| {
+            let options = question.iter().map(String::as_str).chain(more.iter().copied());
+            finish(&mut harness(results, &[command, "smoke"].into_iter().chain(options).collect::<Vec<_>>()))
+        };
+        let printed = |format: &str| ask("compare", &["--format", format]);
+        let json = printed("json");
+        if json.code != 0 {
+            for format in ["text", "markdown", "latex", "csv"] {
+                assert_eq!(
+                    (printed(format).code, printed(format).stderr),
+                    (2, json.stderr.clone()),
+                    "{question:?}"
+                );
+            }
+            continue;
+        }
+        answered += 1;
+        let means: Vec<Value> = serde_json::from_str(&json.stdout).unwrap();
+        let expected: BTreeSet<String> = means.iter().map(|mean| cell(mean)).collect();
+        let text = printed("markdown").stdout;
+        let (header, rows) = markdown(&text);
+        assert_eq!(numbers(&header, &rows), expected, "{question:?}: {text}");
+        let latex = printed("latex").stdout.replace(r"\pm", "±");
+        let whole = ask("compare", &["--all"]).stdout;
+        for number in &expected {
+            assert!(latex.contains(number.as_str()), "{question:?}: no {number} in {latex}");
+            let [mean, half] = [0, 1].map(|part| number.split(" ± ").nth(part).unwrap_or(""));
+            assert!(whole.contains(mean) && whole.contains(half), "{question:?}: no {number} in {whole}");
+        }
+        let csv = printed("csv").stdout;
+        assert_eq!(csv.lines().count(), 1 + means.len());
+        // The file of a plot has the means of the table of its models and its task.
+        let drawn = ask("plot", &["--x", "modality", "--facet", "scenario", "--output", &plot]);
+        if drawn.code == 0
+            && !["--by", "--against"].iter().any(|option| question.iter().any(|word| word == option))
+        {
+            let usual = [["--models", "network"], ["--task", "prediction"]];
+            let more = usual.iter().filter(|[option, _]| !question.iter().any(|word| word == option));
+            let more: Vec<&str> = more.flatten().copied().chain(["--format", "csv"]).collect();
+            assert_eq!(std::fs::read_to_string(&plot).unwrap(), ask("compare", &more).stdout, "{question:?}");
+        }
+    }
+    assert!(answered > questions / 4, "only {answered} questions have an answer");
+}
+
+/// The text of a mean and half of its interval.
+fn cell(mean: &Value) -> String {
+    let unit = mean["unit"].as_str().unwrap();
+    let value = mean["mean"].as_f64().unwrap_or(f64::NEG_INFINITY);
+    let sign =
+        if mean["difference_from"].is_string() && !rounded(value, unit).starts_with('-') { "+" } else { "" };
+    let half = mean["high"].as_f64().map(|high| format!(" ± {}", rounded(high - value, unit)));
+    format!("{sign}{}{}", rounded(value, unit), half.unwrap_or_default())
+}
+
 #[test]
-fn all_formats_say_the_same() {
+fn every_rendering_of_a_question_has_the_same_numbers() {
+    check_renderings(30);
+}
+
+#[test]
+#[ignore = "minutes: `make soak` runs it"]
+fn every_rendering_of_300_questions_has_the_same_numbers() {
+    check_renderings(300);
+}
+
+#[test]
+fn a_table_for_latex_has_the_words_of_the_others() {
     let arguments = ["compare", "--by", "scenario,latent", "--task", "prediction", "--metrics", "r2,rmse"];
     let print = |format: &str| succeed(&RESULTS, &[&arguments[..], &["--format", format]].concat());
     let (markdown_text, text, latex) = (print("markdown"), print("text"), print("latex"));
-    let (header, rows) = markdown(&markdown_text);
+    let (header, _) = markdown(&markdown_text);
     assert_eq!(header[2..5], ["empty, latent 2", "empty, latent 4", "cluttered, latent 4"]);
     assert_eq!(header[5..7], ["persistence, empty", "persistence, cluttered"]);
-
     let (table, note) = text.split_once("\n\n").unwrap();
-    assert!(header.iter().all(|name| table.contains(name)));
+    assert!(header.iter().all(|name| table.contains(name)) && table.contains("R2 ↑"), "{table}");
     assert!(note.ends_with("; ↑ higher is better, ↓ lower is better\n"), "{note}");
-    let mut lines = table.lines().skip(2);
-    for row in &rows {
-        let line = lines.next().unwrap();
-        assert!(line.contains(if row[1] == "R2" { "R2 ↑" } else { " ↓" }), "{line}");
-        for cell in row {
-            let plain = cell.strip_prefix("**").map_or((*cell).to_owned(), |best| best.replace("**", ""));
-            assert!(line.contains(&plain), "no {plain} in {line}");
-            assert!(!cell.starts_with("**") || line.contains(&format!("*{plain}")), "{line}");
-        }
-    }
-
     let lines: Vec<&str> = latex.lines().collect();
     assert_eq!(
         lines[0],
-        "% prediction; smoke; mean ± half of the 95 % interval over 2 seeds; bold: the best of its row"
+        "% prediction; smoke; mean ± half of the 95 % interval over 2 seeds; predictions of the next sample; bold: the best \
+         of its row"
     );
     assert_eq!(lines[1], format!("\\begin{{tabular}}{{ll{}}}", "r".repeat(header.len() - 2)));
     assert_eq!(lines[2..5], ["\\toprule", &format!("{} \\\\", header.join(" & ")), "\\midrule"]);
     assert_eq!(lines[lines.len() - 2..], ["\\bottomrule", "\\end{tabular}"]);
-    let numbers = lines[5..lines.len() - 2].iter().filter_map(|line| line.strip_suffix(" \\\\"));
-    let numbers: Vec<Vec<&str>> = numbers.map(|line| line.split(" & ").collect()).collect();
-    assert_eq!(numbers.len(), rows.len());
-    for (row, latex) in rows.iter().zip(numbers) {
-        assert_eq!(latex.len(), row.len());
-        for (cell, latex) in row[2..].iter().zip(&latex[2..]) {
-            let in_latex = cell.replace('±', "\\pm");
-            let expected = match in_latex.strip_prefix("**") {
-                _ if cell.is_empty() => String::new(),
-                Some(best) => format!("$\\mathbf{{{}}}$", best.replace("**", "")),
-                None => format!("${in_latex}$"),
-            };
-            assert_eq!(*latex, expected);
-        }
-    }
     assert!(latex.contains(" & $R^2$ & ") && latex.contains("RMSE (rad)"), "{latex}");
 }
 
@@ -453,14 +550,14 @@ fn an_ablation_of_the_input_is_one_table() {
 
     let path = |name: &str| results.join(name).display().to_string();
     for name in ["plot.svg", "plot.csv"] {
-        succeed(&results, &["plot", "smoke", "--x", "input", "--y", "r2", "--output", &path(name)]);
+        succeed(&results, &["plot", "smoke", "--x", "input", "--metrics", "r2", "--output", &path(name)]);
     }
     let svg = std::fs::read_to_string(path("plot.svg")).unwrap();
     let places = ["vision", "proprioception + vision", "proprioception"]
         .map(|name| svg.find(&format!("aria-label=\"{name}\"")).unwrap_or_else(|| panic!("no {name}")));
     assert!(places.is_sorted(), "{places:?}");
     let csv = std::fs::read_to_string(path("plot.csv")).unwrap();
-    assert!(csv.lines().next().unwrap().contains(",settings,input,task,"), "{csv}");
+    assert!(csv.lines().next().unwrap().contains(",settings,input,horizon,task,"), "{csv}");
     assert_eq!(csv.lines().count(), 1 + 3);
 }
 
@@ -545,8 +642,8 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
     let file = results.join("means.csv").display().to_string();
     succeed(&results, &["compare", "smoke", "--metrics", "smape", "--models", "network", "--output", &file]);
     let means = std::fs::read_to_string(&file).unwrap();
-    assert!(means.lines().next().unwrap().contains(",unit,datasets,seeds,mean,"), "{means}");
-    assert!(means.lines().skip(1).all(|line| line.contains(",%,3,6,")), "{means}");
+    assert!(means.lines().next().unwrap().contains(",unit,better,datasets,seeds,mean,"), "{means}");
+    assert!(means.lines().skip(1).all(|line| line.contains(",%,lower,3,6,")), "{means}");
     let both = finish(&mut harness(&results, &["compare", "--format", "latex", "--output", &file]));
     assert_eq!(both.code, 2);
     assert!(
@@ -557,7 +654,7 @@ fn intervals_over_datasets_are_said_to_be_over_datasets() {
     let plot = results.join("plot.svg").display().to_string();
     succeed(
         &results,
-        &["plot", "smoke", "--x", "latent", "--y", "smape", "--by", "modality", "--output", &plot],
+        &["plot", "smoke", "--x", "latent", "--metrics", "smape", "--by", "modality", "--output", &plot],
     );
     let plot = std::fs::read_to_string(plot).unwrap();
     assert!(plot.contains("bars: 95 % intervals over 3 datasets (6 runs)"), "{}", &plot[..2000]);
@@ -596,14 +693,13 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     // Student's t for two degrees of freedom, times the standard error.
     let half = 4.302_652_73 * (squares / 2.0 / 3.0).sqrt();
     let signed = format!("{mean:+.4} ± {half:.4}");
-    let arguments =
-        ["compare", "smoke", "--metrics", "rmse", "--by", "latent", "--difference-from", "latent 2"];
+    let arguments = ["compare", "smoke", "--metrics", "rmse", "--by", "latent", "--against", "latent 2"];
     let printed = succeed(&results, &[&arguments[..], &["--format", "markdown"]].concat());
     let (header, rows) = markdown(&printed);
     assert_eq!(header[2..], ["latent 2", "latent 4"], "{printed}");
     let force = rows.iter().find(|row| row[0] == "contact force").unwrap();
-    assert_eq!(force[3], signed, "{printed}");
-    assert!(!printed.contains("**") && !printed.contains("bold"), "no difference is the best: {printed}");
+    assert_eq!(force[3].trim_matches('*'), signed, "{printed}");
+    assert!(printed.contains("bold: differs with p < 0.05, corrected for all differences"), "{printed}");
     assert!(
         printed.contains("have the differences from latent 2, of runs with the same dataset and seed"),
         "{printed}"
@@ -615,12 +711,28 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     // The rows of the column itself are no differences.
     let header: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
     let place = |name: &str| header.iter().position(|column| *column == name).unwrap();
+    let mut p_values: Vec<[f64; 2]> = Vec::new();
     for row in csv.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()) {
         let from = if row[place("latent")] == "2" { "" } else { "latent 2" };
         assert_eq!(row[place("difference_from")], from, "{csv}");
+        let number = |name: &str| row[place(name)].parse::<f64>();
+        if let Ok(p) = number("p") {
+            // With two degrees of freedom, the distribution function of Student's t has a closed form.
+            let t = (number("mean").unwrap()
+                / ((number("high").unwrap() - number("mean").unwrap()) / 4.302_652_73))
+                .abs();
+            p_values.push([1.0 - t / (2.0 + t * t).sqrt(), p]);
+        }
+    }
+    p_values.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    assert_eq!(p_values.len(), rows.len());
+    let mut holm: f64 = 0.0;
+    for (rank, [raw, corrected]) in p_values.iter().enumerate() {
+        holm = holm.max(raw * (p_values.len() - rank) as f64).min(1.0);
+        assert!((corrected - holm).abs() < 1e-6, "{corrected}, not {holm}");
     }
     let refused = |arguments: &[&str]| finish(&mut harness(&results, arguments)).stderr;
-    let unknown = refused(&["compare", "smoke", "--by", "latent", "--difference-from", "latent 3"]);
+    let unknown = refused(&["compare", "smoke", "--by", "latent", "--against", "latent 3"]);
     assert_eq!(
         unknown,
         "error: there is no column 'latent 3'; the columns are latent 2, latent 4, persistence, ridge, training mean\n"
@@ -636,7 +748,7 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     let runs: u64 = datasets.iter().map(|row| row["runs"].as_u64().unwrap()).sum();
     assert_eq!((gains.len(), runs), (3, 4));
     let file = results.join("gains.csv").display().to_string();
-    let base = ["--by", "latent", "--difference-from", "persistence", "--output", &file];
+    let base = ["--by", "latent", "--against", "persistence", "--output", &file];
     succeed(&results, &[&["compare", "smoke", "--metrics", "rmse"], &base[..]].concat());
     let csv = std::fs::read_to_string(&file).unwrap();
     let mut rows = csv.lines().map(|line| line.split(',').collect::<Vec<_>>());
@@ -649,7 +761,7 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     assert_eq!((row[place("datasets")], row[place("seeds")]), ("3", "4"), "{csv}");
     let mean: f64 = row[place("mean")].parse().unwrap();
     assert!((mean - gains.iter().sum::<f64>() / 3.0).abs() < 1e-9, "{mean}, {gains:?}");
-    let scenarios = refused(&["compare", "--by", "scenario", "--difference-from", "empty"]);
+    let scenarios = refused(&["compare", "--by", "scenario", "--against", "empty"]);
     assert!(scenarios.contains("each scenario has its own; leave scenario out of --by"), "{scenarios}");
 }
 
@@ -697,7 +809,7 @@ fn differences_name_the_datasets_that_both_columns_have() {
         note.split(';').next().unwrap().trim().to_owned()
     };
     assert_eq!(over(&[]), "2 to 3 datasets");
-    assert_eq!(over(&["--difference-from", "angles_and_camera"]), "2 datasets");
+    assert_eq!(over(&["--against", "angles_and_camera"]), "2 datasets");
 }
 
 #[test]
@@ -709,17 +821,17 @@ fn horizons_are_rows_of_one_table() {
         succeed(&reference, &[&["compare", "memory"], &chosen[..], &of, more].concat())
     };
     // In their order, each once.
-    let printed = table(&["--horizon", "20,1,5,1", "--modality", "contact_force"]);
+    let printed = table(&["--horizon", "20,1,5,1", "--of", "contact_force"]);
     let (header, rows) = markdown(&printed);
     assert_eq!(header, ["", "latent 64", "persistence"], "{printed}");
     assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), ["horizon 1", "horizon 5", "horizon 20"]);
     assert!(printed.contains("; horizons in samples of 0.1 s"), "{printed}");
     // Each row is that of the table of its horizon alone, which has more words.
-    let alone = table(&["--horizon", "5", "--modality", "contact_force"]);
+    let alone = table(&["--horizon", "5", "--of", "contact_force"]);
     assert!(markdown(&alone).1[0].ends_with(&rows[1][1..]), "{alone}");
     // A modality can be chosen as a whole, and by the unit of its elements.
     let units = |name: &str| {
-        let printed = table(&["--horizon", "1,5", "--modality", name]);
+        let printed = table(&["--horizon", "1,5", "--of", name]);
         markdown(&printed).1.iter().map(|row| row[1].to_owned()).collect::<Vec<_>>()
     };
     assert_eq!(units("arm"), ["arm in m", "arm in rad", "arm in m", "arm in rad"]);
@@ -752,10 +864,10 @@ fn what_does_not_change_in_the_test_samples_is_named() {
     let [r2, wmape] =
         ["R2 ↑", "WMAPE (%) ↓"].map(|metric| shown.find(metric).unwrap_or_else(|| panic!("{shown}")));
     assert!(wmape < r2, "{shown}");
-    let plot = ["plot", "--x", "latent", "--y", "r2", "--output", &path("plot.svg")];
+    let plot = ["plot", "--x", "latent", "--metrics", "r2", "--output", &path("plot.svg")];
     let refused = plain(&finish(&mut harness(&results, &plot)).stderr);
-    assert!(refused.starts_with(&format!("error: {is}is not defined; no finished run has")), "{refused}");
-    let joints = finish(&mut harness(&results, &["compare", "--modality", "latent"])).stdout;
+    assert!(refused.starts_with(&format!("error: {is}is not defined; no run has")), "{refused}");
+    let joints = finish(&mut harness(&results, &["compare", "--of", "latent"])).stdout;
     assert!(!joints.contains("contact_force"), "{joints}");
     // The next command works, and shows errors that are defined.
     let (_, next) = run.stdout.split_once("next       harness --results ").unwrap();
@@ -766,11 +878,9 @@ fn what_does_not_change_in_the_test_samples_is_named() {
         "{compared}"
     );
     // What is 0 at some horizons may change at others.
-    for (option, horizons) in [
-        (["--horizon", "4"], "horizon 4"),
-        (["--horizon", "4,1"], "horizons 1 and 4"),
-        (["--by", "horizon"], "horizons 1, 2 and 4"),
-    ] {
+    for (option, horizons) in
+        [(["--horizon", "4,1"], "horizons 1 and 4"), (["--by", "horizon"], "horizons 1, 2 and 4")]
+    {
         let compared = plain(&succeed(&results, &[&["compare"][..], &option].concat()));
         let is = format!(
             "contact_force is 0 in all test samples of {horizons}, so its r2 and wmape are not defined"
@@ -839,12 +949,12 @@ fn a_comparison_of_nothing_is_refused() {
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape"],
-            "error: no run has these metrics for this task and model; `harness --results ",
+            "error: no run has these metrics for this task, model, modality and horizon; `harness --results ",
         ),
         (
             &RESULTS,
             &["compare", "--task", "reconstruction", "--metrics", "wmape", "--output", "/dev/null/means.csv"],
-            "error: no run has these metrics for this task and model; `harness --results ",
+            "error: no run has these metrics for this task, model, modality and horizon; `harness --results ",
         ),
         (
             &RESULTS,
@@ -859,7 +969,7 @@ fn a_comparison_of_nothing_is_refused() {
         (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
         (
             &RESULTS,
-            &["compare", "--modality", "force"],
+            &["compare", "--of", "force"],
             "error: no run predicts 'force'; they predict contact_force, frame_difference, proprioception, vision\n",
         ),
     ] {

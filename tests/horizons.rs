@@ -42,7 +42,7 @@ const COMMANDS: [&[&str]; 18] = [
         "multi_to_multi",
         "--x",
         "latent",
-        "--y",
+        "--metrics",
         "r2",
         "--by",
         "modality",
@@ -68,7 +68,7 @@ const RUN: [&str; 8] = [
     "seeds=[0,1]",
 ];
 
-static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
+pub static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| {
     let results = fresh("horizons_run");
     succeed(&results, &RUN);
     results
@@ -415,15 +415,14 @@ fn the_skill_compares_squared_errors_with_persistence() {
         assert!(close(number(&found, "mean", row), Some(interval.mean)), "{row}: {values:?}");
         assert!(close(number(&found, "low", row), interval.bounds.map(|(low, _)| low)), "{row}: {values:?}");
     }
-    // Without the horizon, the means are those of the next sample.
-    let next = compared(&RESULTS, &["--metrics", "skill"]);
-    assert!(next.column("horizon").is_err());
-    let of_next: Vec<usize> =
-        (0..found.height()).filter(|row| number(&found, "horizon", *row) == Some(1.0)).collect();
+    // Without the option, the horizon is that of the spec.
+    let own = compared(&RESULTS, &["--metrics", "skill"]);
+    let of_own: Vec<usize> =
+        (0..found.height()).filter(|row| number(&found, "horizon", *row) == Some(4.0)).collect();
     let means = |table: &DataFrame, rows: &[usize]| -> Vec<Option<f64>> {
         rows.iter().map(|row| number(table, "mean", *row)).collect()
     };
-    assert_eq!(means(&next, &(0..6).collect::<Vec<_>>()), means(&found, &of_next));
+    assert_eq!(means(&own, &(0..6).collect::<Vec<_>>()), means(&found, &of_own));
 }
 
 #[test]
@@ -471,24 +470,28 @@ fn horizons_are_columns_of_a_comparison() {
     let (usual, table) = (table(&usual), table(&by_horizon));
     assert_eq!(table[0], ["", "", "horizon 1", "horizon 2", "horizon 4", ""]);
     assert_eq!(usual[0], ["", "", "latent 4", ""]);
-    // The first column is that of the default view.
-    let first = |table: &[Vec<String>]| table[2..].iter().map(|row| row[..3].to_vec()).collect::<Vec<_>>();
-    assert_eq!(first(&table), first(&usual));
     assert!(by_horizon.contains("horizons in samples of 0.1 s"), "{by_horizon}");
-    // One horizon alone has the values of its column.
+    // One horizon alone has the values of its column, and a time is a number of samples.
     let two = succeed(&RESULTS, &[&ask[..], &as_markdown, &["--horizon", "2"]].concat());
+    assert_eq!(succeed(&RESULTS, &[&ask[..], &as_markdown, &["--horizon", "0.2s"]].concat()), two);
     let column = |table: &[Vec<String>], place: usize| -> Vec<[String; 2]> {
         table[2..].iter().map(|row| [row[1].clone(), row[place].clone()]).collect()
     };
     let cells_of_two = two.lines().filter(|line| line.starts_with('|')).map(cells).collect::<Vec<_>>();
     assert_eq!(column(&cells_of_two, 2), column(&table, 3), "{two}");
-    assert!(two.contains("horizon 2; ") && two.contains("horizons in samples of 0.1 s"), "{two}");
+    assert!(two.contains("; predictions 2 samples (0.2 s) ahead; "), "{two}");
+    // The default is the horizon of the spec.
+    assert_eq!(column(&usual, 2), column(&table, 4));
     let refused = |arguments: &[&str]| finish(&mut harness(&RESULTS, &[&ask[..], arguments].concat())).stderr;
     assert_eq!(
         refused(&["--horizon", "3"]),
-        "error: no run predicts 3 samples ahead; the horizons of the runs are 1, 2, 4\n"
+        "error: no run predicts 3 samples ahead; the runs predict 1, 2, 4 samples ahead\n"
     );
-    assert!(refused(&["--horizon", "2", "--by", "horizon"]).contains("so horizon can't be in --by"));
+    assert!(refused(&["--horizon", "0.15s"]).contains("no run predicts 0.15 s ahead"));
+    let chosen =
+        succeed(&RESULTS, &[&ask[..], &as_markdown, &["--horizon", "1,4", "--by", "horizon"]].concat());
+    let chosen = chosen.lines().filter(|line| line.starts_with('|')).map(cells).collect::<Vec<_>>();
+    assert_eq!(chosen[0], ["", "", "horizon 1", "horizon 4", ""]);
     // A reconstruction is 0 samples ahead.
     let all = compared(&RESULTS, &["--by", "horizon", "--metrics", "r2"]);
     let of_task = |task: &str| {
@@ -504,7 +507,8 @@ fn a_metric_is_plotted_over_the_horizon() {
     let path = |name: &str| folder.path().join(name);
     let plot = |name: &str| {
         let path = path(name).display().to_string();
-        let ask = ["plot", "smoke", "--x", "horizon", "--y", "skill", "--by", "modality", "--output", &path];
+        let ask =
+            ["plot", "smoke", "--x", "horizon", "--metrics", "skill", "--by", "modality", "--output", &path];
         succeed(&RESULTS, &ask);
     };
     plot("plot.csv");
@@ -529,48 +533,32 @@ fn every_answer_says_how_far_ahead_its_predictions_are() {
     let path = |name: &str| folder.path().join(name);
     let plot = |name: &str, more: &[&str]| {
         let path = path(name).display().to_string();
-        let asked = ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--output", &path];
+        let asked =
+            ["plot", "smoke", "--x", "latent", "--metrics", "r2", "--by", "modality", "--output", &path];
         succeed(&RESULTS, &[&asked[..], more].concat());
         fs::read_to_string(path).unwrap()
     };
-    let (next, further) = (plot("next.csv", &[]), plot("further.csv", &["--horizon", "4"]));
+    let (own, next) = (plot("own.csv", &[]), plot("next.csv", &["--horizon", "1"]));
     let asked = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--task", "prediction"];
     let compared = |more: &[&str]| succeed(&RESULTS, &[&asked[..], more].concat());
-    assert_eq!(further, compared(&["--horizon", "4", "--format", "csv"]));
-    assert_eq!(next, compared(&["--format", "csv"]));
-    assert!(plot("next.svg", &[]).contains("predictions of the next sample"));
-    assert!(plot("further.svg", &["--horizon", "4"]).contains("predictions 4 samples (0.4 s) ahead"));
+    assert_eq!(next, compared(&["--horizon", "1", "--format", "csv"]));
+    assert_eq!(own, compared(&["--format", "csv"]));
+    let ahead = "predictions 4 samples (0.4 s) ahead";
+    assert!(plot("next.svg", &["--horizon", "1"]).contains("predictions of the next sample"));
+    assert!(plot("own.svg", &[]).contains(ahead) && compared(&[]).contains(ahead));
     let run = succeed(&RESULTS, &RUN).split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(
-        run.contains("means over up to 2 runs, which differ in their seeds; predictions of the next"),
-        "{run}"
-    );
-    let said = compared(&[]).split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(
-        said.contains("predictions of the next sample; `compare --horizon N` shows those up to 4"),
-        "{said}"
-    );
-    for (more, words) in [
-        (["--x", "latent", "--horizon", "3"], "the horizons of the runs are 1, 2, 4"),
-        (["--x", "horizon", "--horizon", "4"], "the plot is over all horizons"),
-    ] {
-        let refused = finish(&mut harness(&RESULTS, &[&["plot", "smoke", "--y", "r2"], &more[..]].concat()));
-        assert!(refused.code == 2 && refused.stderr.contains(words), "{}", refused.stderr);
-    }
-    // The pages have both.
+    assert!(run.contains("which differ in their seeds; predictions 4 samples ahead"), "{run}");
+    // Each of the pages says it too.
     let page = path("report.html").display().to_string();
     succeed(&RESULTS, &["report", "smoke", "--output", &page]);
     let page = fs::read_to_string(page).unwrap();
     let metrics = page.split("<section id=\"metrics\">").nth(1).unwrap().split("</section>").next().unwrap();
-    for words in ["contact force, next sample", "contact force, 4 samples ahead"] {
-        assert!(metrics.contains(words) && !metrics.contains("2 samples ahead"), "{metrics}");
-    }
+    assert!(metrics.contains(ahead), "{metrics}");
     let [tables, runs] =
         ["/api/compare?experiment=smoke", "/api/runs"].map(|path| served(&RESULTS, &[("GET", path, "")]));
-    let rows = tables[0]["tables"][0]["rows"].as_array().unwrap();
-    assert!(rows.iter().any(|row| row["modality"] == "contact force, 4 samples ahead"), "{rows:?}");
+    assert!(tables[0]["notes"].as_array().unwrap().contains(&json!(ahead)), "{tables:?}");
     let columns = runs[0]["columns"].as_array().unwrap();
-    for (name, horizon) in [("next sample", 1), ("4 samples ahead", 4)] {
+    for (name, horizon) in [("4 samples ahead", 4)] {
         let column = columns.iter().find(|one| one["name"] == format!("contact_force r2, {name}")).unwrap();
         let sql = format!(
             "select value from all_metrics where task = 'prediction' and horizon = {horizon} and metric = 'r2' and \
@@ -611,7 +599,7 @@ fn the_figure_shows_error_and_skill_over_seconds() {
     for text in ["horizon (s)", "0.1", "0.2", "0.4", "contact force, R2", "contact force, skill", "empty"] {
         assert!(svg.contains(&format!("aria-label=\"{text}\"")), "no {text}");
     }
-    let angles = draw(&["--modality", "proprioception"]);
+    let angles = draw(&["--of", "proprioception"]);
     assert!((0..angles.height()).all(|row| text(&angles, "modality", row) == "proprioception"));
     let refused = |results: &Path, more: &[&str]| {
         let ask = ["figures", "horizon", "--output", out.to_str().unwrap()];
@@ -619,8 +607,8 @@ fn the_figure_shows_error_and_skill_over_seconds() {
         assert_ne!(answer.code, 0);
         answer.stderr
     };
-    let unknown = refused(&RESULTS, &["--experiment", "smoke", "--modality", "vision"]);
-    assert!(unknown.contains("available: contact_force, proprioception"), "{unknown}");
+    let unknown = refused(&RESULTS, &["--experiment", "smoke", "--of", "vision"]);
+    assert!(unknown.contains("they predict contact_force, proprioception"), "{unknown}");
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let one = refused(&reference, &["--experiment", "senses"]);
     assert!(one.contains("the runs of senses predict only the next sample"), "{one}");

@@ -17,7 +17,7 @@ fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let plot = |name: &str| {
         let asked =
-            ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"];
+            ["plot", "smoke", "--x", "latent", "--metrics", "r2", "--by", "modality", "--facet", "scenario"];
         succeed(&RESULTS, &[&asked[..], &["--output", &path(name)]].concat())
     };
     assert_eq!(plot("plot.csv"), format!("8 means in {}\n", path("plot.csv")));
@@ -39,7 +39,7 @@ fn a_plot_shows_the_means_and_intervals_of_a_comparison() {
     assert_eq!(read("plot.csv"), read("compare.csv"));
 
     let one = ["--where", "scenario=empty", "--where", "latent=2", "--output", &path("one.csv")];
-    let asked = ["plot", "smoke", "--x", "latent", "--y", "relative_error"];
+    let asked = ["plot", "smoke", "--x", "latent", "--metrics", "relative_error"];
     let said = succeed(&RESULTS, &[&asked[..], &one].concat());
     assert_eq!(said, format!("1 mean in {}\n", path("one.csv")));
 
@@ -63,7 +63,7 @@ fn baselines_are_plotted_beside_the_networks() {
     let models = ["--models", "network,persistence,ridge,training_mean"];
     let plot = |name: &str| {
         let asked =
-            ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"];
+            ["plot", "smoke", "--x", "latent", "--metrics", "r2", "--by", "modality", "--facet", "scenario"];
         succeed(&RESULTS, &[&asked[..], &models, &["--output", &path(name)]].concat())
     };
     // Two scenarios and two modalities: 8 means of networks, and one of each of the three baselines.
@@ -91,7 +91,7 @@ fn only_points_along_numbers_are_connected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("plot.svg").display().to_string();
     let dashes = |x: &str, facet: &str| {
-        let asked = ["plot", "smoke", "--x", x, "--facet", facet, "--y", "r2", "--by", "modality"];
+        let asked = ["plot", "smoke", "--x", x, "--facet", facet, "--metrics", "r2", "--by", "modality"];
         succeed(&RESULTS, &[&asked[..], &["--models", "network,persistence", "--output", &path]].concat());
         std::fs::read_to_string(&path).unwrap().matches("stroke-dasharray").count()
     };
@@ -105,7 +105,7 @@ fn panels_by_task_show_both_tasks() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let tasks = |more: &[&str]| {
-        let asked = ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--where"];
+        let asked = ["plot", "smoke", "--x", "latent", "--metrics", "r2", "--by", "modality", "--where"];
         let rest = ["scenario=empty", "--output", &path("plot.csv")];
         succeed(&RESULTS, &[&asked[..], &rest, more].concat());
         let table = std::fs::read_to_string(path("plot.csv")).unwrap();
@@ -118,7 +118,7 @@ fn panels_by_task_show_both_tasks() {
 
 #[test]
 fn a_plot_that_cannot_be_drawn_says_what_to_do() {
-    let asked = ["plot", "--x", "latent", "--y", "r2"];
+    let asked = ["plot", "--x", "latent", "--metrics", "r2"];
     let refused = |more: &[&str]| {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("plot.svg").display().to_string();
@@ -133,19 +133,12 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
     assert!(ambiguous.starts_with(expected), "{ambiguous}");
     let unknown = refused(&["--by", "varient"]);
     assert!(unknown.contains("variant") && unknown.contains("modality"), "{unknown}");
-    let missing = refused(&["--modality", "vision"]);
-    assert!(
-        missing.contains("r2 of contact_force") && missing.contains("relative_error of frame_difference"),
-        "{missing}"
-    );
+    let missing = refused(&["--of", "vision"]);
+    assert!(missing.contains("no run has these metrics for this task"), "{missing}");
     for (option, several, expected) in [
-        (
-            "--modality",
-            "contact_force,proprioception",
-            "a plot has one modality; --by modality distinguishes all of",
-        ),
-        ("--horizon", "1,5", "a plot has one horizon; --by horizon distinguishes all of them"),
-        ("--horizon", "0.5s", "it is a number of samples, not a time"),
+        ("--metrics", "r2,rmse", "a plot shows one metric; choose one of r2, rmse with --metrics"),
+        ("--horizon", "1,5", "no run predicts 5 samples ahead; the runs predict 1 sample ahead"),
+        ("--horizon", "0.5s", "no run predicts 0.5 s ahead"),
         ("--models", "network,", "a list has no spaces and no comma at its end"),
         ("--by", "scenario,", "a list has no spaces and no comma at its end"),
     ] {

@@ -649,7 +649,7 @@ fn an_ablation_has_one_table_of_metrics_as_compare() {
             .map(|cell| cell.replace("<b>", "").replace("</b>", ""))
             .collect();
         let column = INPUTS.iter().position(|(variant, _)| *variant == text("variant")).unwrap();
-        let value = harness::numbers::rounded(mean["mean"].as_f64().unwrap());
+        let value = harness::metrics::rounded(mean["mean"].as_f64().unwrap(), text("unit"));
         assert!(cells[column].starts_with(&value), "{mean}: {cells:?}");
         compared += 1;
     }
@@ -734,7 +734,7 @@ fn the_tables_and_courses_of_any_robot_are_those_of_queries() {
     };
     let rows = between(page, "<section id=\"metrics\">", "</section>");
     assert!(
-        rows.contains("<th scope=\"col\">network, z = 2</th><th scope=\"col\">network, z = 4</th>"),
+        rows.contains("<th scope=\"col\">latent 2</th><th scope=\"col\">latent 4</th>"),
         "{rows}"
     );
     for baseline in ["persistence", "ridge", "training mean"] {
@@ -755,7 +755,7 @@ fn the_tables_and_courses_of_any_robot_are_those_of_queries() {
     // The columns of the networks come first, then the baselines in alphabetical order.
     let expected = [of("network", 2), of("network", 4), of("persistence", 2)];
     for (cell, expected) in cells.iter().zip(expected) {
-        assert!(cell.starts_with(&harness::numbers::rounded(expected)), "{cell} {expected}");
+        assert!(cell.starts_with(&harness::metrics::rounded(expected, "1")), "{cell} {expected}");
     }
     let data = data(page);
     let courses = data["course"].as_array().unwrap();

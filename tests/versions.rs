@@ -36,7 +36,7 @@ fn a_dataset_of_an_older_version_cannot_be_collected_and_verify_says_so() {
     // The means of both versions are told apart by the key that the message names.
     let plot = |more: &[&str]| {
         let output = two.world.path().join("plot.svg").display().to_string();
-        let asked = ["plot", "--x", "latent", "--y", "r2", "--output", &output];
+        let asked = ["plot", "--x", "latent", "--metrics", "r2", "--output", &output];
         finish(&mut harness(&two.results, &[&asked[..], more].concat()))
     };
     assert_eq!(plot(&["--by", "world"]).code, 0, "{}", plot(&["--by", "world"]).stderr);
@@ -147,7 +147,7 @@ fn one_version_of_a_world_counts_in_every_reader() {
     );
     assert!(note.contains("gc --only world"), "{note}");
 
-    two.say(&["plot", "rod", "--x", "simulation.episodes", "--y", "rmse", "--output", &path("plot.csv")]);
+    two.say(&["plot", "rod", "--x", "simulation.episodes", "--metrics", "rmse", "--output", &path("plot.csv")]);
     let plotted = fs::read_to_string(path("plot.csv")).unwrap();
     assert_eq!(plotted.lines().count(), 2, "{plotted}");
     two.say(&["publish", "rod", "--output", &path("published")]);

@@ -1467,7 +1467,7 @@ fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
 
     let plot = |more: &[&str]| {
         let output = folder.path().join("plot.csv");
-        let args = ["plot", "--x", "latent", "--y", "rmse", "--output", output.to_str().unwrap()];
+        let args = ["plot", "--x", "latent", "--metrics", "rmse", "--output", output.to_str().unwrap()];
         let answer = finish(&mut harness(&results, &[&args[..], more].concat()));
         (answer.code, answer.stderr, fs::read_to_string(output).unwrap_or_default())
     };
@@ -1476,7 +1476,7 @@ fn a_robot_with_slides_and_hinges_is_judged_by_unit() {
     assert!(said.contains("the means differ in modality: joints in m; joints in rad"), "{said}");
     let (code, said, means) = plot(&["--facet", "modality"]);
     assert_eq!((code, means.lines().count()), (0, 3), "{said}{means}");
-    let (code, said, means) = plot(&["--modality", "joints in rad"]);
+    let (code, said, means) = plot(&["--of", "joints in rad"]);
     assert_eq!((code, means.lines().count()), (0, 2), "{said}{means}");
     assert!(means.contains("in rad"), "{means}");
 

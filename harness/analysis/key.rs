@@ -46,14 +46,11 @@ impl FromStr for Key {
 }
 
 impl Key {
-    /// All keys except settings, those of columns first.
+    /// All keys except settings.
     pub const ALL: [Key; 8] = {
         use Key::*;
         [Experiment, Scenario, Latent, Variant, Settings, Horizon, Task, Modality]
     };
-
-    /// The keys that can distinguish columns of a comparison: those of runs, and the horizon.
-    pub const OF_COLUMNS: [Key; 6] = *Self::ALL.first_chunk().unwrap();
 
     /// The key's name on the command line, and in tables.
     pub fn name(self) -> &'static str {

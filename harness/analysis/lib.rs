@@ -11,11 +11,12 @@
 //! - **A group's values** are those of its datasets and seeds. [`replicates`] says which values an interval is computed
 //!   from.
 
-mod comparison;
+mod answer;
 mod interval;
 mod key;
 mod labels;
 mod means;
+mod question;
 mod rows;
 mod seen;
 mod settings;
@@ -23,23 +24,25 @@ mod skill;
 mod subset;
 mod undefined;
 
-pub use comparison::{Comparison, Part, Place, Side, Subject, printed, usual_key, whole_metrics};
+pub use answer::{Answer, BY_UNIT, Comparison, Part, Place, SIGNIFICANT, Side, Subject, printed, usual_key};
 pub use harness_judge::models;
-pub use harness_metrics::{best, higher_is_better, label as metric_label};
+pub use harness_metrics::higher_is_better;
 pub use interval::{
     Estimate, Interval, LEVEL, Over, holm, interval, intervals, mean_interval, replicates,
     unpaired_replicates,
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
-pub use means::{Mean, Of, check_models, compare, replicates_of};
+use means::predicted;
+pub use means::{Mean, Of, replicates_of};
+pub use question::{Horizon, Question};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
 pub use subset::Subset;
 pub use undefined::Undefined;
 
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
+use harness_metrics::Metric;
 use harness_registry::{Asked, Recorded, Registry, RunRecord, Status, forces_of};
-use harness_shared::numbers::counted;
 use harness_shared::{meant, nearest};
 use harness_spec::{Layout, Origin, QUICK, RunSpec, Scenario};
 use harness_sql::{Condition, Query, implies};
@@ -128,11 +131,11 @@ pub enum AnalysisError {
         /// The values that the runs have.
         there: Box<Difference>,
     },
-    /// No run predicts so many samples ahead.
-    #[error("no run predicts {} ahead; the horizons of the runs are {}", counted(*wanted, "sample"), numbers(horizons))]
+    /// No run predicts so far ahead.
+    #[error("no run predicts {wanted} ahead; the runs predict {} ahead", numbers(horizons))]
     UnknownHorizon {
-        /// The requested number of samples.
-        wanted: usize,
+        /// The requested number of samples or time.
+        wanted: String,
         /// The horizons of the runs, in samples.
         horizons: BTreeSet<usize>,
     },
@@ -147,6 +150,61 @@ pub enum AnalysisError {
         /// The models that there are.
         known: Vec<String>,
     },
+    /// A metric is none of the harness, and no run has it as a metric of the user.
+    #[error(
+        "there is no metric '{wanted}'{}{}{}",
+        metric_meant(wanted, own), Metric::known(), own.iter().map(|own| format!(", {own}")).collect::<String>()
+    )]
+    UnknownMetric {
+        /// The name.
+        wanted: String,
+        /// The metrics that users added to runs.
+        own: BTreeSet<String>,
+    },
+    /// No run predicts a modality.
+    #[error(
+        "no run predicts '{wanted}'{}they predict {}",
+        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()),
+        known.iter().cloned().collect::<Vec<_>>().join(", ")
+    )]
+    UnknownModality {
+        /// The name.
+        wanted: String,
+        /// What the runs predict.
+        known: BTreeSet<String>,
+    },
+    /// No column has the heading from which the others are to be differences.
+    #[error("there is no column '{wanted}'; the columns are {}", columns.join(", "))]
+    UnknownColumn {
+        /// The heading.
+        wanted: String,
+        /// The headings of the columns.
+        columns: Vec<String>,
+    },
+    /// Columns of different scenarios can't be subtracted.
+    #[error(
+        "--against compares runs on the same data, and each scenario has its own; leave scenario out of --by"
+    )]
+    Scenarios,
+    /// A key tells the rows of a table apart and can't tell its columns apart.
+    #[error(
+        "the rows of a table differ in their {0}, so {0} can't be in --by; `harness plot` distinguishes any key"
+    )]
+    OfRows(&'static str),
+    /// There are no finished runs. The field is a command that makes some.
+    #[error("there are no finished runs to compare; `{0}` makes some")]
+    Nothing(String),
+    /// No run has the requested metrics.
+    #[error(
+        "{}no run has these metrics for this task, model, modality and horizon; `{list}` lists those that runs have",
+        reasons.iter().map(|reason| format!("{reason}; ")).collect::<String>()
+    )]
+    NoMeans {
+        /// The reasons that are known.
+        reasons: Vec<String>,
+        /// A command that lists the metrics that runs have.
+        list: String,
+    },
     /// The runs of an experiment differ in settings that must be equal.
     #[error(transparent)]
     Mixed(#[from] Mixed),
@@ -155,9 +213,17 @@ pub enum AnalysisError {
     Query(#[from] QueryError),
 }
 
-/// Numbers, separated by commas.
+/// Says which metric was probably meant.
+fn metric_meant(wanted: &str, own: &BTreeSet<String>) -> String {
+    let mut known: Vec<&str> = own.iter().map(String::as_str).collect();
+    known.extend(Metric::all().map(|metric| metric.name()));
+    meant(wanted, &known)
+}
+
+/// Numbers of samples, separated by commas.
 fn numbers(all: &BTreeSet<usize>) -> String {
-    all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
+    let listed = all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    format!("{listed} sample{}", if listed == "1" { "" } else { "s" })
 }
 
 /// Says which experiments have finished runs, and which of them was probably meant. If `wanted` is the path of a spec,
@@ -461,30 +527,16 @@ impl Analysis {
         runs.all(|run| rate(run) == Some(first)).then_some(first)
     }
 
-    /// The number of samples per second of all runs that count, as a note about horizons in samples.
-    pub fn note_about_samples(&self) -> Option<String> {
-        self.sample_rate_hz().map(|rate| format!("horizons in samples of {} s", 1.0 / rate))
-    }
-
-    /// The note that datasets share their test episodes, which intervals over datasets then do not vary; `None` if the
-    /// runs that count have no test with a dataset of its own.
-    pub fn note_about_shared_test(&self) -> Option<String> {
+    /// Whether datasets share their test episodes, which intervals over datasets then do not vary.
+    fn shares_test(&self) -> bool {
         let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
-        runs.any(|run| run.record.spec.test.is_some()).then(|| {
-            "runs in a world share their test episodes, so intervals over datasets are those on these episodes".to_owned()
-        })
-    }
-
-    /// The note that predictions are of the next sample; `None` if the runs that count predict no further.
-    pub fn note_about_next_sample(&self) -> Option<String> {
-        of_next_sample(
-            self.experiments.values().flat_map(|experiment| &experiment.runs).map(|run| &run.record),
-        )
+        runs.any(|run| run.record.spec.test.is_some())
     }
 
     /// Whether a run that counts predicts further than the next sample.
     pub fn predicts_further(&self) -> bool {
-        self.note_about_next_sample().is_some()
+        let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
+        runs.any(|run| run.record.spec.window.horizon > 1)
     }
 
     /// Messages about runs that were left out, such as `left out: 3 runs of an older method`.
@@ -885,14 +937,6 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     let note = |count: usize, what: &str| (count > 0).then(|| format!("left out: {count} {what}"));
     let notes = [note(older, "runs of an older method"), note(twice, "runs that were done again since")];
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
-}
-
-/// The note that predictions of these runs are of the next sample; `None` if they predict no further.
-pub fn of_next_sample<'a>(runs: impl Iterator<Item = &'a RunRecord>) -> Option<String> {
-    let longest = runs.map(|run| run.spec.window.horizon).max().filter(|longest| *longest > 1)?;
-    Some(format!(
-        "predictions of the next sample; `compare --horizon N` shows those up to {longest} samples ahead"
-    ))
 }
 
 /// The tables that a query reads.

@@ -1,21 +1,55 @@
 //! Rows of the tables of metrics.
 
 use harness_spec::{Modality, Task};
-use serde::Deserialize;
+use harness_tables::schema::HORIZON;
+use polars::prelude::{DataFrame, PolarsResult, StringChunked};
 
 /// A row of a table of metrics.
-#[derive(Clone, Deserialize)]
-pub(super) struct Row {
-    pub experiment: String,
-    pub run: String,
+#[derive(Clone, Copy)]
+pub(super) struct Row<'a> {
+    pub experiment: &'a str,
+    pub run: &'a str,
     pub task: Task,
-    pub model: String,
+    pub model: &'a str,
     pub modality: Modality,
-    pub direction: Option<String>,
-    pub metric: String,
-    pub value: f64,
-    pub unit: String,
-    /// `None` in the table without horizons, and for a metric that has none.
-    #[serde(default)]
+    pub direction: Option<&'a str>,
+    pub metric: &'a str,
+    /// `None` where the metric is not defined.
+    pub value: Option<f64>,
+    pub unit: &'a str,
+    /// `None` for what judges the latent state, and for a skill horizon.
     pub horizon: Option<usize>,
+}
+
+impl<'a> Row<'a> {
+    /// The rows of a query's answer with these columns. Without a column `horizon`, predictions are of the next sample.
+    pub fn all(answer: &'a DataFrame) -> PolarsResult<Vec<Self>> {
+        let text = |name: &str| -> PolarsResult<&'a StringChunked> { answer.column(name)?.str() };
+        let (experiment, run, model) = (text("experiment")?, text("run")?, text("model")?);
+        let (metric, unit, direction) = (text("metric")?, text("unit")?, text("direction")?);
+        let (tasks, modalities) = (text("task")?, text("modality")?);
+        let value = answer.column("value")?.f64()?;
+        let horizons = answer.column(HORIZON).ok().map(|column| column.i64()).transpose()?;
+        let row = |row: usize| {
+            let task = Task::ALL.iter().copied().find(|task| Some(task.name()) == tasks.get(row))?;
+            let modality = Modality::new(modalities.get(row)?)?;
+            let horizon = match horizons {
+                Some(horizons) => horizons.get(row).map(|samples| samples as usize),
+                None => Some(usize::from(task == Task::Prediction)),
+            };
+            Some(Self {
+                experiment: experiment.get(row)?,
+                run: run.get(row)?,
+                task,
+                model: model.get(row)?,
+                modality,
+                direction: direction.get(row),
+                metric: metric.get(row)?,
+                value: value.get(row),
+                unit: unit.get(row)?,
+                horizon: horizon.filter(|_| modality != Modality::LATENT),
+            })
+        };
+        Ok((0..answer.height()).filter_map(row).collect())
+    }
 }

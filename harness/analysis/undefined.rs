@@ -1,13 +1,11 @@
 //! Metrics that are not defined, because what they judge does not change in the test samples.
 
-use super::{Analysis, Run};
-use harness_catalog::{OVERALL, QueryError, rows};
+use super::rows::Row;
+use super::{Analysis, predicted};
 use harness_metrics::Metric;
 use harness_shared::numbers::enumerated;
-use harness_spec::{Modality, Task};
-use harness_tables::schema::{GIVEN, HORIZON, Table};
-use serde::Deserialize;
-use std::collections::{BTreeMap, BTreeSet};
+use harness_spec::Task;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The metrics that lack a value, by what they judge and, if it matters, by the horizon in samples.
 #[derive(Debug, Clone, Default)]
@@ -66,64 +64,31 @@ fn at_horizons(horizons: &[usize]) -> String {
     }
 }
 
-/// A metric that lacks its value.
-#[derive(Deserialize)]
-struct Row {
-    experiment: String,
-    run: String,
-    modality: Modality,
-    direction: Option<String>,
-    metric: String,
-    horizon: Option<usize>,
-}
-
-impl Analysis {
-    /// The metrics of predictions that lack a value in runs that count: at these horizons, in samples, or of the next
-    /// sample, and of these modalities or parts of them, or of all if there are none.
-    ///
-    /// # Errors
-    /// When a table is damaged.
-    pub fn undefined(
-        &self,
-        horizons: Option<&BTreeSet<usize>>,
-        modalities: &[String],
-    ) -> Result<Undefined, QueryError> {
-        let experiments: Vec<&str> = self.experiments().collect();
-        let (table, horizon, further) = match horizons {
-            Some(all) => {
-                let all: Vec<String> = all.iter().map(usize::to_string).collect();
-                let further = format!("and {GIVEN} is null and {HORIZON} in ({})", all.join(", "));
-                (Table::AllMetrics, format!(", {HORIZON}"), further)
-            }
-            None => (Table::Metrics, String::new(), String::new()),
-        };
-        let sql = format!(
-            "select distinct experiment, run, modality, direction, metric{horizon} from {} \
-             where task = '{}' and {OVERALL} and value is null {further}",
-            table.name(),
-            Task::Prediction
-        );
-        let all: Vec<Row> = rows(&mut self.query(&experiments, &sql)?)?;
-        let runs: Vec<&Run> = self.experiments().flat_map(|name| self.runs(name)).collect();
-        let scenarios: BTreeSet<_> = runs.iter().map(|run| &run.record.spec.scenario).collect();
-        let mut undefined = Undefined::default();
-        for Row { experiment, run, modality, direction, metric, horizon } in all {
-            let own = runs.iter().find(|one| one.record.run == run && one.record.experiment == experiment);
-            let Some(own) = own.filter(|_| Undefined::may_lack(&metric)) else { continue };
-            let part = direction.map(|part| format!(" {part}")).unwrap_or_default();
-            let what = format!("{modality}{part}");
-            let is_own = |asked: &String| *asked == what || asked == modality.name();
-            if !modalities.is_empty() && !modalities.iter().any(is_own) {
-                continue;
-            }
-            let place = [
-                (experiments.len() > 1).then_some(experiment.as_str()),
-                (scenarios.len() > 1).then_some(own.record.spec.scenario.name()),
-            ];
-            let place = place.into_iter().flatten().collect::<Vec<_>>().join(", ");
-            let place = if place.is_empty() { place } else { format!("{place}: ") };
-            undefined.add(&format!("{place}{what}"), horizon, &metric);
+/// The metrics of predictions that lack a value among `rows`: those of these modalities or parts of them, or of all if
+/// there are none.
+pub(super) fn undefined(analysis: &Analysis, rows: &[Row<'_>], of: &[String]) -> Undefined {
+    let runs = || analysis.experiments().flat_map(|name| analysis.runs(name)).map(|run| &run.record);
+    let scenarios: HashMap<_, _> =
+        runs().map(|run| ((&*run.experiment, &*run.run), &run.spec.scenario)).collect();
+    let several = scenarios.values().collect::<BTreeSet<_>>().len() > 1;
+    let several_experiments = analysis.experiments().count() > 1;
+    let is_prediction = |row: &&Row| row.task == Task::Prediction;
+    let horizons: BTreeSet<_> = rows.iter().filter(is_prediction).filter_map(|row| row.horizon).collect();
+    let lacks = |row: &&Row| row.value.is_none() && Undefined::may_lack(row.metric);
+    let mut undefined = Undefined::default();
+    for row in rows.iter().filter(is_prediction).filter(lacks) {
+        let what = predicted(row.modality, row.direction);
+        let is_own = |asked: &String| *asked == what || asked == row.modality.name();
+        let Some(scenario) = scenarios.get(&(row.experiment, row.run)) else { continue };
+        if !of.is_empty() && !of.iter().any(is_own) {
+            continue;
         }
-        Ok(undefined)
+        let experiment = several_experiments.then_some(row.experiment);
+        let place = experiment.into_iter().chain(several.then_some(scenario.name()));
+        let place = place.collect::<Vec<_>>().join(", ");
+        let place = if place.is_empty() { place } else { format!("{place}: ") };
+        let horizon = row.horizon.filter(|_| horizons.len() > 1);
+        undefined.add(&format!("{place}{what}"), horizon, row.metric);
     }
+    undefined
 }

@@ -1,6 +1,7 @@
 //! `harness claims`.
 
 use super::DONE;
+use super::asked::Where;
 use super::format::{Destination, Form, print_page};
 use super::sheet::Style;
 use super::table::{Grid, LINE, fitted, print_command, print_grid, print_text, shown, width};
@@ -36,10 +37,8 @@ pub struct Claims {
     /// Judge by the quick runs (`harness run … --quick`)
     #[arg(long)]
     quick: bool,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
-    /// one setting are alternatives
-    #[arg(long = "where", value_name = "KEY=VALUE")]
-    settings: Vec<Setting>,
+    #[command(flatten)]
+    runs: Where,
     /// Judge under each reading that the spec FILE lists, and print which readings change a verdict. Without FILE, the
     /// spec is the one that the file of --file names, or `readings`
     #[arg(long, value_name = "FILE", num_args = 0..=1)]
@@ -73,7 +72,7 @@ impl Claims {
             spec.as_ref().is_some_and(|spec| setting.experiment.as_ref() == Some(&spec.name))
         };
         let (of_spec, own): (Vec<Setting>, Vec<Setting>) =
-            self.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
+            self.runs.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
         let runs = claims::runs_of(registry, recorded.clone(), &chosen, &own, self.quick)?;
         let is_about_all = !self.plan && (own.is_empty() || !of_spec.is_empty());
         if let Some(spec) = spec.as_ref().filter(|_| is_about_all) {
@@ -219,7 +218,7 @@ impl Claims {
         if spec.readings.is_empty() {
             bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
         }
-        let readings = Readings::new(registry, &spec, chosen, &self.settings)?;
+        let readings = Readings::new(registry, &spec, chosen, &self.runs.settings)?;
         let matrix = readings.judge(chosen)?;
         if matrix.rows.is_empty() {
             let quick = if self.quick { " --quick" } else { "" };

@@ -214,7 +214,6 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         titles: 2,
         header,
         rows: differing.into_iter().flatten().map(row).collect(),
-        marked: true,
         notes,
         ..Sheet::default()
     })

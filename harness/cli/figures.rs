@@ -1,12 +1,13 @@
 //! `harness figures`.
 
+use super::asked::Where;
 use super::table::{print_beside, shown};
 use super::{DONE, FAILED};
 use anyhow::Result;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use clap::builder::TypedValueParser;
-use harness::analysis::{Analysis, Setting};
+use harness::analysis::Analysis;
 use harness::experiment::describe;
 use harness::figures::{Drawing, Figure, FigureError, Format, OfReading, Shown};
 use harness::registry::Registry;
@@ -43,11 +44,9 @@ pub struct Figures {
     /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
     /// contact_force, or the first modality where it is not predicted]
     #[arg(long, value_name = "NAME")]
-    modality: Option<String>,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
-    /// one setting are alternatives
-    #[arg(long = "where", value_name = "KEY=VALUE")]
-    settings: Vec<Setting>,
+    of: Option<String>,
+    #[command(flatten)]
+    runs: Where,
 }
 
 /// A parser for names of figures, whose error lists all names.
@@ -65,20 +64,21 @@ impl Figures {
     /// Draws the figures. If none is named, figures without runs that they can show are skipped without a failure.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         if let Some(experiment) = &self.experiment {
-            let analysis = Analysis::finished(registry, std::slice::from_ref(experiment), &self.settings)?;
+            let analysis =
+                Analysis::finished(registry, std::slice::from_ref(experiment), &self.runs.settings)?;
             for note in analysis.notes() {
                 eprintln!("{note}");
             }
-            return self.draw(|figure| figure.render_of(&analysis, experiment, self.modality.clone()));
+            return self.draw(|figure| figure.render_of(&analysis, experiment, self.of.clone()));
         }
         let reading = self.reading.as_ref().map(|text| OfReading::load(text, self.quick)).transpose()?;
         let (single, multi) = (self.single.clone(), self.multi.clone());
         let shown = Shown { quick: self.quick, single, multi, reading };
-        let analysis = shown.analysis(registry, &self.settings)?;
+        let analysis = shown.analysis(registry, &self.runs.settings)?;
         for note in analysis.notes() {
             eprintln!("{note}");
         }
-        let source = shown.source(&analysis).showing(self.modality.clone());
+        let source = shown.source(&analysis).showing(self.of.clone());
         self.draw(|figure| figure.render(&source))
     }
 

@@ -1,5 +1,6 @@
 //! The command line of the harness: arguments, terminal output, signals and exit codes.
 
+mod asked;
 mod claims;
 mod compare;
 mod diff;
@@ -189,7 +190,7 @@ not hold or is undecided. Intervals are over datasets or, with one dataset, over
   harness compare smoke
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
-  harness compare memory --horizon 1,10 --modality contact_force --metrics r2
+  harness compare memory --horizon 1,10 --of contact_force --metrics r2
   harness compare smoke --format latex > table.tex
   harness compare smoke --format csv              the means, one in each row
 
@@ -279,8 +280,8 @@ it in `scenarios`, by its path relative to the spec's folder.")]
     Figures(figures::Figures),
     /// Plot a metric over a setting, as SVG, PNG or CSV
     #[command(after_help = "Examples:
-  harness plot smoke --x latent --y r2 --by modality --facet scenario
-  harness plot --x latent --y r2 --modality contact_force --by experiment,scenario --output forces.png
+  harness plot smoke --x latent --metrics r2 --by modality --facet scenario
+  harness plot --x latent --metrics r2 --of contact_force --by experiment,scenario --output forces.png
 
 A point is the mean of a network's metric over all joints, links or pixels, over datasets and seeds.")]
     Plot(plot::Plot),
@@ -351,7 +352,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures readings                the gain by vision under each reading
   harness figures propriovision_to_vision --multi multi_to_multi_best
   harness figures --experiment my_robot
-  harness figures horizon --experiment memory --modality contact_force
+  harness figures horizon --experiment memory --of contact_force
 
 The figures show the runs of single_to_multi and multi_to_multi. If runs are missing, a message names the command that \
 creates them. The figure horizon shows the runs of memory. Runs of one experiment that differ in settings can't be \
@@ -623,7 +624,6 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.is::<ClaimsError>()
         || error.is::<AnalysisError>()
         || matches!(error.downcast_ref(), Some(ReportError::Claims(_) | ReportError::Analysis(_)))
-        || error.is::<compare::CompareError>()
         || error.is::<format::FormatError>()
         || error.is::<inspect::NotStarted>()
         || matches!(
@@ -631,9 +631,8 @@ fn is_usage(error: &anyhow::Error) -> bool {
             Some(
                 FigureError::Analysis(_)
                     | FigureError::Ambiguous { .. }
-                    | FigureError::NoMeans { .. }
                     | FigureError::TooMany { .. }
-                    | FigureError::Horizon
+                    | FigureError::SeveralMetrics(_)
             )
         )
         || error.is::<import::ImportError>()

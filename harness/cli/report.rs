@@ -1,11 +1,11 @@
 //! `harness report`.
 
 use super::DONE;
+use super::asked::Where;
 use super::progress::Bars;
 use super::table::shown;
 use anyhow::Result;
 use clap::Args;
-use harness::analysis::Setting;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::report::Asked;
@@ -30,10 +30,8 @@ pub struct Report {
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
-    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
-    /// one setting are alternatives
-    #[arg(long = "where", value_name = "KEY=VALUE")]
-    settings: Vec<Setting>,
+    #[command(flatten)]
+    runs: Where,
 }
 
 /// Parses the path of the output. Its ending names the only format.
@@ -50,7 +48,7 @@ impl Report {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
         let readings = spec::load(&self.readings, &[], self.quick)?;
-        let asked = Asked { experiments: self.experiments, settings: self.settings, quick: self.quick };
+        let asked = Asked { experiments: self.experiments, settings: self.runs.settings, quick: self.quick };
         let page = report::page(registry, &claims, &readings, &asked, &Bars::default())?;
         write_bytes(&self.output, page.as_bytes())?;
         println!("{}, {}", shown(&self.output), harness::numbers::bytes(page.len() as u64));

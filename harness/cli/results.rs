@@ -3,7 +3,7 @@
 
 use super::sheet::{MISSING, Sheet, Style};
 use anyhow::Result;
-use harness::analysis::{Undefined, of_next_sample};
+use harness::analysis::{BY_UNIT, Undefined};
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::judge::models;
 use harness::learning::objective::KL;
@@ -15,9 +15,6 @@ use harness::spec::{Task, model_parts};
 use serde::Deserialize;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
-
-/// The note of a table with modalities whose elements have different units.
-pub const BY_UNIT: &str = "a modality whose elements have different units is judged by unit";
 
 /// A row of the table, with the means over runs that differ in their seeds.
 #[derive(Deserialize)]
@@ -58,9 +55,21 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         Metrics::Main => format!("{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
         Metrics::All => "index is null".to_owned(),
     };
+    let records = registry.records();
+    let wanted = records.iter().filter(|record| is_wanted(record)).map(|record| record.spec.window.horizon);
+    let horizons: BTreeSet<usize> = wanted.collect();
+    // Runs with several horizons have the next sample in common.
+    let horizon = horizons.first().copied().filter(|_| horizons.len() == 1).unwrap_or(1);
+    let (table, own) = match horizon {
+        1 => ("metrics", String::new()),
+        _ => (
+            "all_metrics",
+            format!("and given is null and (horizon in (0, {horizon}) or modality = 'latent')"),
+        ),
+    };
     let cell = "task, scenario, variant, latent, modality, direction, metric, unit";
     let sql = format!(
-        "select {cell}, count(distinct run) as runs, {} from metrics where {chosen} group by {cell} \
+        "select {cell}, count(distinct run) as runs, {} from {table} where {chosen} {own} group by {cell} \
          order by task, scenario desc, variant, latent, modality, direction, metric",
         means.join(", ")
     );
@@ -94,19 +103,14 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let header = header.collect();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let by_unit = rows.iter().any(is_part).then(|| BY_UNIT.to_owned());
-    let records = registry.records();
     let most = rows.iter().map(|row| row.runs).max().filter(|runs| *runs > 1);
     let means = most.map(|runs| format!("means over up to {runs} runs, which differ in their seeds"));
-    let further = of_next_sample(records.iter().filter(|record| is_wanted(record)));
-    let notes = means.into_iter().chain(by_unit).chain(further).chain(undefined(&rows)).collect();
-    Ok(Sheet {
-        titles: 4,
-        header,
-        rows: rows.into_iter().map(row).collect(),
-        marked: true,
-        notes,
-        ..Sheet::default()
-    })
+    let ahead = match horizon {
+        1 => "predictions of the next sample".to_owned(),
+        _ => format!("predictions {horizon} samples ahead"),
+    };
+    let notes = means.into_iter().chain(by_unit).chain([ahead]).chain(undefined(&rows)).collect();
+    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
 }
 
 /// Sentences about the modalities that lack metrics, because they do not change in the test samples.

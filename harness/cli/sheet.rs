@@ -49,6 +49,28 @@ impl Style {
     }
 }
 
+/// Which numbers of a table are marked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Mark {
+    /// The best of each row.
+    #[default]
+    Best,
+    /// The differences that are significant.
+    Significant,
+}
+
+impl Mark {
+    /// What is marked, in a table whose rows are called `row`.
+    fn meaning(self, row: &str) -> String {
+        match self {
+            Self::Best => format!("the best of its {row}"),
+            Self::Significant => {
+                "differs with p < 0.05, corrected for all differences by Holm's method".to_owned()
+            }
+        }
+    }
+}
+
 /// A table whose rows consist of some words and some numbers.
 #[derive(Default)]
 pub struct Sheet {
@@ -59,8 +81,8 @@ pub struct Sheet {
     pub header: Vec<String>,
     /// The rows: the same number of words in each, and numbers in the table's format. A missing number is empty.
     pub rows: Vec<(Vec<String>, Vec<String>)>,
-    /// Whether the best value of each row is marked.
-    pub marked: bool,
+    /// Which numbers are marked.
+    pub mark: Mark,
     /// Sentences about the table.
     pub notes: Vec<String>,
     /// Words of the table that stand for longer ones, with their meaning. It is printed below a text.
@@ -77,21 +99,16 @@ impl Sheet {
         match style {
             Style::Text => {
                 let of = if self.is_turned() { "column" } else { "row" };
-                let best = if self.marked { format!("* the best of its {of}; ") } else { String::new() };
-                let note = format!("{note}; {best}↑ higher is better, ↓ lower is better");
+                let marked = self.mark.meaning(of);
+                let note = format!("{note}; * {marked}; ↑ higher is better, ↓ lower is better");
                 let legend = beside(self.legend.iter().cloned(), limit);
                 let note = fitted(note.trim_start_matches("; "), limit);
                 let parts = [self.text(limit), legend, note].into_iter().filter(|part| !part.is_empty());
                 parts.collect::<Vec<_>>().join("\n\n") + "\n"
             }
-            Style::Markdown => format!("{}\n{note}{}\n", self.markdown(), self.bold()),
-            Style::Latex => format!("% {note}{}\n{}", self.bold(), self.latex()),
+            Style::Markdown => format!("{}\n{note}; bold: {}\n", self.markdown(), self.mark.meaning("row")),
+            Style::Latex => format!("% {note}; bold: {}\n{}", self.mark.meaning("row"), self.latex()),
         }
-    }
-
-    /// A note about bold numbers.
-    fn bold(&self) -> &'static str {
-        if self.marked { "; bold: the best of its row" } else { "" }
     }
 
     /// Removes the columns of words that are the same in every row, and returns these words. A single row keeps its

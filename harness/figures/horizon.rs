@@ -6,9 +6,8 @@ use super::page::{COLUMN, GRAY, Page, Stroke};
 use super::plot::{MOST_PANELS, MOST_SERIES, Plot, Values, draw, notes, plain, range, rows_of, values};
 use super::source::{Source, no_runs};
 use super::{Drawing, FigureError};
-use harness_analysis::{Key, Label, Labels, Mean, models};
+use harness_analysis::{Key, Label, Labels, Mean, Question, models};
 use harness_metrics::Metric;
-use harness_shared::meant;
 use harness_spec::{Modality, Task};
 use polars::prelude::*;
 use std::collections::BTreeSet;
@@ -35,49 +34,43 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     if analysis.runs(experiment).is_empty() {
         return Err(no_runs(analysis, experiment));
     }
-    let of_experiment = |mean: &Mean| mean.of.experiment == experiment && mean.of.task == Task::Prediction;
-    let all: Vec<Mean> = analysis.means_by(&[Key::Horizon])?.into_iter().filter(of_experiment).collect();
-    let horizons: BTreeSet<usize> = all.iter().filter_map(|mean| mean.of.horizon).collect();
+    let names =
+        |metrics: &[Metric]| metrics.iter().map(|metric| metric.name().to_owned()).collect::<Vec<_>>();
+    let question = Question {
+        experiments: vec![experiment.to_owned()],
+        task: Some(Task::Prediction),
+        of: source.modality.iter().cloned().collect(),
+        metrics: names(&[Metric::R2, Metric::RelativeError, Metric::Skill]),
+        models: models::ALL.map(str::to_owned).to_vec(),
+        by: vec![Key::Horizon],
+        ..Question::default()
+    };
+    let answer = question.answer(analysis)?;
+    let horizons: BTreeSet<usize> = answer.cells.iter().filter_map(|cell| cell.of.horizon).collect();
     if horizons.len() < 2 {
         return Err(FigureError::OneHorizon { experiment: experiment.to_owned() });
     }
-    let predicted = all.iter().filter(|mean| mean.of.modality != Modality::LATENT);
-    let there: BTreeSet<String> = predicted.map(|mean| mean.of.predicted()).collect();
+    let there: BTreeSet<String> = answer.cells.iter().map(|cell| cell.of.predicted()).collect();
     let force = Modality::CONTACT_FORCE.name();
     let usual = there.iter().find(|name| *name == force).or(there.first()).map_or(force, String::as_str);
     let modality = source.modality.as_deref().unwrap_or(usual);
-    let shown: Vec<Mean> = all.into_iter().filter(|mean| mean.of.is_of(modality)).collect();
-    let has = |metric: Metric| shown.iter().any(|mean| mean.of.metric == metric.name());
-    let error = if has(Metric::R2) { Metric::R2 } else { Metric::RelativeError };
-    if !has(error) {
-        let meant = match there.contains(modality) {
-            true => "; ".to_owned(),
-            false => meant(modality, &there.iter().map(String::as_str).collect::<Vec<_>>()),
-        };
-        return Err(FigureError::NoMeans { reasons: Vec::new(), meant, there: there.into_iter().collect() });
-    }
-    let labels = Labels::new(analysis, &[]);
-    let differ = |key: &Key| values(*key, &shown, &labels).len() > 1;
+    let shown: Vec<Mean> = answer.cells.iter().filter(|cell| cell.of.is_of(modality)).cloned().collect();
+    let is_vector = shown.iter().any(|mean| mean.of.metric == Metric::R2.name());
+    let error = if is_vector { Metric::R2 } else { Metric::RelativeError };
+    let labels = &answer.labels;
+    let differ = |key: &Key| values(*key, &shown, labels).len() > 1;
     let by: Vec<Key> = [Key::Latent, Key::Variant, Key::Settings].into_iter().filter(differ).collect();
     let horizons: Vec<usize> = horizons.into_iter().collect();
     let seconds = analysis.sample_rate_hz().map(|rate| 1.0 / rate);
     let draw = |left_out: &[&str]| {
         let rows = [error, Metric::Skill].map(|metric| {
-            let plot = Plot {
-                x: Key::Horizon,
-                y: metric.name().to_owned(),
-                by: by.clone(),
-                facet: Some(Key::Scenario),
-                task: Some(Task::Prediction),
-                horizon: None,
-                modality: Some(modality.to_owned()),
-                models: models::ALL.map(str::to_owned).to_vec(),
-            };
+            let question = Question { metrics: names(&[metric]), by: by.clone(), ..question.clone() };
             let is_of_row =
                 |mean: &&Mean| mean.of.metric == metric.name() && !left_out.contains(&mean.of.model.as_str());
-            Row { plot, means: shown.iter().filter(is_of_row).cloned().collect() }
+            let means = shown.iter().filter(is_of_row).cloned().collect();
+            Row { plot: Plot::new(question, Key::Horizon, Some(Key::Scenario)), means }
         });
-        draw_rows(&rows, left_out, &labels, &horizons, seconds)
+        draw_rows(&rows, left_out, labels, &horizons, seconds)
     };
     let mut drawn = draw(&[]);
     for count in 1..=OPTIONAL.len() {
@@ -127,9 +120,9 @@ fn draw_rows(
     let scales = rows.each_ref().map(|row| {
         let [low, high] = range(&row.means);
         // The skill of persistence is 0. The skill and R² of a perfect prediction are 1.
-        let is_skill = row.plot.y == Metric::Skill.name();
+        let is_skill = row.plot.y() == Metric::Skill.name();
         let low = if is_skill { low.min(0.0) } else { low };
-        let high = if is_skill || row.plot.y == Metric::R2.name() { high.clamp(0.0, 1.0) } else { high };
+        let high = if is_skill || row.plot.y() == Metric::R2.name() { high.clamp(0.0, 1.0) } else { high };
         move |ends| Scale::linear(low, high, 5, ends)
     });
     let time = |horizon: usize| seconds.map_or(horizon as f64, |seconds| horizon as f64 * seconds);

@@ -30,7 +30,7 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, finished, usual_key};
+use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, Question, finished};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
@@ -84,7 +84,7 @@ pub enum FigureError {
         "the means differ in {key}: {}; {}",
         values.join("; "),
         if *can_distinguish {
-            "distinguish them with --by or --facet, or choose some of them with --modality, --where or the names of \
+            "distinguish them with --by or --facet, or choose some of them with --of, --horizon, --where or the names of \
              experiments"
         } else {
             "choose some of them with --where"
@@ -98,27 +98,13 @@ pub enum FigureError {
         /// The key's values.
         values: Vec<String>,
     },
-    /// No finished run has the metric of a plot.
-    #[error(
-        "{}no finished run has this metric for this task and modality{meant}available: {}",
-        reasons.iter().map(|reason| format!("{reason}; ")).collect::<String>(),
-        if there.is_empty() { "none".into() } else { there.join(", ") }
-    )]
-    NoMeans {
-        /// The reasons that are known.
-        reasons: Vec<String>,
-        /// Which metric or modality was probably meant, in words.
-        meant: String,
-        /// What there is, such as `r2 of contact_force`.
-        there: Vec<String>,
-    },
-    /// One horizon is chosen for a plot over horizons.
-    #[error("the plot is over all horizons, so that none can be chosen")]
-    Horizon,
+    /// A plot shows one metric. The field has those of the question.
+    #[error("a plot shows one metric; choose one of {} with --metrics", .0.join(", "))]
+    SeveralMetrics(Vec<String>),
     /// A plot would have too many series or panels to be read.
     #[error(
         "a plot has at most 12 series and 8 panels, and this one would have {series} and {panels}; choose some of the \
-         means with --modality, --where or the names of experiments"
+         means with --of, --where or the names of experiments"
     )]
     TooMany {
         /// The number of series.
@@ -205,7 +191,7 @@ impl FigureError {
                 | Self::NoRole { .. }
                 | Self::NoRows { .. }
                 | Self::OnlyPaper { .. }
-                | Self::NoMeans { .. }
+                | Self::Analysis(AnalysisError::NoMeans { .. } | AnalysisError::UnknownModality { .. })
                 | Self::OneHorizon { .. }
         )
     }
@@ -387,12 +373,13 @@ impl Figure {
         });
         let with_remark = |drawing: Drawing| drawing.with_remark(remark.as_deref());
         let over_latent = |task| {
-            let plot = Plot::over(usual_key(&analysis.means()?), task);
-            let drawing = match first.filter(|_| plot.x == Key::Latent) {
-                None => plot.draw(analysis),
-                Some(first) => plot.draw_where(analysis, |of| of.variant == *first).map(with_remark),
-            };
-            drawing.map_err(FigureError::of_figure)
+            let usual = Question { task: Some(task), ..Question::default() }.answer(analysis)?.by[0];
+            let plot = Plot::over(usual, task);
+            let mut answer = plot.question.answer(analysis)?;
+            let one = first.filter(|_| plot.x == Key::Latent);
+            answer.cells.retain(|cell| one.is_none_or(|first| cell.of.variant == *first));
+            let drawing = plot.draw(&answer).map_err(FigureError::of_figure)?;
+            Ok(if one.is_some() { with_remark(drawing) } else { drawing })
         };
         match self {
             Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {

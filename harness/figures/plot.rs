@@ -5,9 +5,9 @@ use super::axes::{Line, Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
 use harness_analysis::models::{NETWORK, PERSISTENCE, is_baseline};
-use harness_analysis::{Analysis, Interval, Key, Label, Labels, Mean, Of, check_models, replicates_of};
+use harness_analysis::{Answer, Interval, Key, Label, Labels, Mean, Of, Question, replicates_of};
 use harness_metrics::{Metric, label};
-use harness_shared::meant;
+use harness_registry::Registry;
 use harness_shared::numbers::rounded;
 use harness_spec::Task;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,26 +36,17 @@ const MOST_NAMED: usize = 6;
 /// An outlier is at least this many times as far from the other values as these are from each other.
 const FAR: f64 = 9.0;
 
-/// A plot of a metric of networks and baselines, as means with their intervals.
+/// A plot of the answer to a question about one metric.
 #[derive(Debug, Clone)]
 pub struct Plot {
+    /// The question. All keys of the plot tell its means apart.
+    pub(super) question: Question,
     /// The key along the horizontal axis.
-    pub x: Key,
-    /// The metric along the vertical axis.
-    pub y: String,
+    pub(super) x: Key,
     /// The keys that distinguish series.
-    pub by: Vec<Key>,
+    pub(super) by: Vec<Key>,
     /// The key that distinguishes panels.
-    pub facet: Option<Key>,
-    /// The task that is evaluated. `None` for the prediction, or for both tasks if the plot distinguishes them.
-    pub task: Option<Task>,
-    /// The number of samples that are predicted ahead; `None` for the next sample, or for all horizons if the plot
-    /// distinguishes them.
-    pub horizon: Option<usize>,
-    /// The predicted modality, or its elements with one unit (`joints in rad`); `None` for all of them.
-    pub modality: Option<String>,
-    /// What is drawn: [`NETWORK`], which stands for all models but baselines, and names of models.
-    pub models: Vec<String>,
+    pub(super) facet: Option<Key>,
 }
 
 /// The values of a key that occur, in order.
@@ -81,111 +72,62 @@ pub(super) struct Spot<'a> {
 }
 
 impl Plot {
+    /// A plot over the key `x`, with a panel for each value of `facet` and a series for each value of the question's
+    /// keys. Without others, the models are networks, and the task is the prediction unless it is one of the keys.
+    pub fn new(question: Question, x: Key, facet: Option<Key>) -> Self {
+        let mut plot = Self { by: question.by.clone(), question, x, facet };
+        let question = &mut plot.question;
+        question.by = [x].into_iter().chain(question.by.iter().copied()).chain(facet).collect();
+        if question.models.is_empty() {
+            question.models.push(NETWORK.to_owned());
+        }
+        if !question.by.contains(&Key::Task) {
+            question.task.get_or_insert(Task::Prediction);
+        }
+        plot
+    }
+
     /// The plot of R² over a key, by modality, with a panel for each scenario. Beside the networks, it shows
     /// persistence alone, so that six modalities have room.
     pub(crate) fn over(x: Key, task: Task) -> Self {
-        Self {
-            x,
-            y: Metric::R2.name().to_owned(),
-            by: vec![Key::Modality],
-            facet: Some(Key::Scenario),
-            task: Some(task),
-            horizon: None,
-            modality: None,
+        let question = Question {
+            metrics: vec![Metric::R2.name().to_owned()],
             models: vec![NETWORK.to_owned(), PERSISTENCE.to_owned()],
-        }
+            task: Some(task),
+            by: vec![Key::Modality],
+            ..Question::default()
+        };
+        Self::new(question, x, Some(Key::Scenario))
     }
 
-    /// Draws the means of an analysis.
+    /// Draws the answer about the runs of a results folder, and returns its notes.
     ///
     /// # Errors
-    /// When no run has the metric, when the means differ in a key that the plot does not show, or when there are too
-    /// many series or panels.
-    pub fn draw(&self, analysis: &Analysis) -> Result<Drawing, FigureError> {
-        self.draw_where(analysis, |_| true)
+    /// When the question has no answer or several metrics, when the means differ in a key that the plot does not show,
+    /// or when there are too many series or panels.
+    pub fn ask(&self, registry: &Registry) -> Result<(Drawing, Vec<String>), FigureError> {
+        let answer = self.question.ask(registry)?;
+        Ok((self.draw(&answer)?, answer.notes))
     }
 
-    /// Draws those means of an analysis that are wanted.
-    ///
-    /// # Errors
-    /// Like [`draw`](Self::draw).
-    pub(crate) fn draw_where(
-        &self,
-        analysis: &Analysis,
-        is_wanted: impl Fn(&Of) -> bool,
-    ) -> Result<Drawing, FigureError> {
-        let shown = |of: &Of| {
-            self.models.iter().any(|model| of.is_by(model)) && self.has_task(of.task) && is_wanted(of)
-        };
-        let keys: Vec<Key> = [self.x].into_iter().chain(self.by.iter().copied()).chain(self.facet).collect();
-        if self.horizon.is_some() && (self.distinguishes(Key::Horizon) || self.is_over_horizons()) {
-            return Err(FigureError::Horizon);
+    /// Draws the answer to the plot's question.
+    pub(crate) fn draw(&self, answer: &Answer) -> Result<Drawing, FigureError> {
+        if answer.metrics.len() > 1 {
+            return Err(FigureError::SeveralMetrics(answer.metrics.clone()));
         }
-        let means = match self.horizon {
-            Some(horizon) => analysis.means_at(&BTreeSet::from([horizon]), &keys)?,
-            None if self.is_over_horizons() => analysis.skill_horizons_by(&keys)?,
-            None => analysis.means_by(&keys)?,
-        };
-        check_models(&self.models, &means)?;
-        let all: Vec<Mean> = means.into_iter().filter(|mean| shown(&mean.of)).collect();
-        let has_modality = |of: &Of| self.modality.as_ref().is_none_or(|name| of.is_of(name));
-        let is_shown = |mean: &&Mean| mean.of.metric == self.y && has_modality(&mean.of);
-        let means: Vec<Mean> = all.iter().filter(is_shown).cloned().collect();
-        if means.is_empty() {
-            let there = all.iter().map(|mean| format!("{} of {}", mean.of.metric, mean.of.predicted()));
-            let there: BTreeSet<String> = there.collect();
-            let metrics: Vec<&str> = all.iter().map(|mean| mean.of.metric.as_str()).collect();
-            let modalities: Vec<&str> = all.iter().map(|mean| mean.of.modality.name()).collect();
-            let meant = match &self.modality {
-                _ if !metrics.contains(&&*self.y) => meant(&self.y, &metrics),
-                Some(modality) if !modalities.contains(&&**modality) => meant(modality, &modalities),
-                _ => "; ".to_owned(),
-            };
-            let horizons = self.horizon.map(|horizon| BTreeSet::from([horizon]));
-            let undefined = analysis.undefined(horizons.as_ref(), self.modality.as_slice())?;
-            let reasons = undefined.sentences(|metric| metric == self.y);
-            return Err(FigureError::NoMeans { reasons, meant, there: there.into_iter().collect() });
-        }
-        self.draw_means(&means, &Labels::new(analysis, &keys), self.note_about_horizon(analysis))
+        self.draw_means(&answer.cells, &answer.labels, answer.ahead())
     }
 
-    /// Whether the metric is computed from the values at all horizons.
-    fn is_over_horizons(&self) -> bool {
-        self.y == Metric::SkillHorizon.name()
-    }
-
-    /// Which sample is predicted; `None` if the plot distinguishes the horizons, or all predictions are of the next one.
-    fn note_about_horizon(&self, analysis: &Analysis) -> Option<String> {
-        let is_one = !self.distinguishes(Key::Horizon) && !self.is_over_horizons();
-        let ahead = |horizon| match analysis.sample_rate_hz() {
-            Some(rate) => {
-                format!("predictions {horizon} samples ({} s) ahead", horizon as f64 / rate)
-            }
-            None => format!("predictions {horizon} samples ahead"),
-        };
-        match self.horizon {
-            Some(horizon) if horizon > 1 => Some(ahead(horizon)),
-            _ => (is_one && analysis.predicts_further()).then(|| "predictions of the next sample".to_owned()),
-        }
-    }
-
-    /// Whether the plot distinguishes the values of a key.
-    fn distinguishes(&self, key: Key) -> bool {
-        key == self.x || self.by.contains(&key) || self.facet == Some(key)
-    }
-
-    fn has_task(&self, task: Task) -> bool {
-        match self.task {
-            Some(wanted) => task == wanted,
-            None => task == Task::Prediction || self.distinguishes(Key::Task),
-        }
+    /// The metric along the vertical axis.
+    pub(super) fn y(&self) -> &str {
+        self.question.metrics.first().map_or("", String::as_str)
     }
 
     /// The label of the vertical axis.
     pub(super) fn label(&self, means: &[Mean]) -> String {
         let units: BTreeSet<&str> = means.iter().map(|mean| mean.unit.as_str()).collect();
         // Without a unit if the values have several.
-        let label = label(&self.y, if units.len() == 1 { &means[0].unit } else { "1" });
+        let label = label(self.y(), if units.len() == 1 { &means[0].unit } else { "1" });
         let modalities: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
         match modalities.first() {
             Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
@@ -195,7 +137,7 @@ impl Plot {
 
     /// Returns an error if the means differ in a key that the plot does not show.
     pub(super) fn check(&self, means: &[Mean], labels: &Labels) -> Result<(), FigureError> {
-        for key in Key::ALL.into_iter().filter(|key| !self.distinguishes(*key)) {
+        for key in Key::ALL.into_iter().filter(|key| !self.question.by.contains(key)) {
             let values = values(key, means, labels);
             if values.len() > 1 {
                 let values: Vec<String> = values.iter().map(|value| value.text().to_owned()).collect();
@@ -238,8 +180,9 @@ impl Plot {
             Series { name, look: look(place), is_network: true, spots }
         };
         let mut series: Vec<Series> = networks.into_iter().enumerate().map(network).collect();
-        let order =
-            |model: &str| self.models.iter().filter(|name| is_baseline(name)).position(|name| name == model);
+        let order = |model: &str| {
+            self.question.models.iter().filter(|name| is_baseline(name)).position(|name| name == model)
+        };
         let mut baselines = merged(baselines);
         baselines.sort_by_key(|(model, by, _)| (order(model), by.clone()));
         for (model, by, spots) in baselines {
@@ -420,7 +363,7 @@ fn value(key: Key, of: &Of, labels: &Labels) -> Label {
     Label::from(if text.is_empty() { "none".into() } else { text })
 }
 
-/// The values of a key that occur. A baseline has none of the latent size, and a skill horizon none of the horizon.
+/// The values of a key that occur. A baseline has none of the latent size, and a reconstruction none of the horizon.
 pub(super) fn values(key: Key, means: &[Mean], labels: &Labels) -> Values {
     let own = means.iter().filter(|mean| !is_every_value(key, &mean.of));
     let found: BTreeSet<Label> = own.map(|mean| value(key, &mean.of, labels)).collect();
@@ -436,7 +379,7 @@ fn name_of(key: Key) -> &'static str {
 fn is_every_value(key: Key, of: &Of) -> bool {
     match key {
         Key::Latent => of.latent.is_none(),
-        Key::Horizon => of.horizon.is_none(),
+        Key::Horizon => of.horizon.is_none_or(|samples| samples == 0),
         _ => false,
     }
 }

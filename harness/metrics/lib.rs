@@ -163,6 +163,16 @@ impl Metric {
         Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT).chain(of_forces)
     }
 
+    /// Says in words which metrics there are.
+    pub fn known() -> String {
+        let names = Self::all().map(Self::name).collect::<Vec<_>>().join(", ");
+        format!(
+            "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, METRIC_KIND \
+             of its kinds of contact, as r2_ground, METRIC_PHASE of a contact, as crps_onset, and METRIC_from_Ns of \
+             window.since_s, as r2_from_10s"
+        )
+    }
+
     /// Returns the metrics that can belong to a region.
     fn of_regions() -> impl Iterator<Item = &'static Metric> {
         Self::GENERAL.iter().chain(&Self::DISTRIBUTION)
@@ -254,14 +264,7 @@ impl FromStr for Metric {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let names = Self::all().map(Self::name).collect::<Vec<_>>().join(", ");
-        Self::named(name).ok_or_else(|| {
-            format!(
-                "the metrics are {names}, relative_error_REGION of a world's regions, as relative_error_finger, \
-                 METRIC_KIND of its kinds of contact, as r2_ground, METRIC_PHASE of a contact, as crps_onset, and METRIC_from_Ns of window.since_s, as \
-                 r2_from_10s"
-            )
-        })
+        Self::named(name).ok_or_else(Self::known)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Collects the metrics of networks and baselines over the horizon.
 
 use super::{Asked, ReportError, short};
-use harness_analysis::{Analysis, Key, Label, Labels, Mean, replicates_of};
+use harness_analysis::{Analysis, AnalysisError, Key, Label, Mean, Question, replicates_of};
 use harness_metrics::Metric;
 use harness_spec::{Origin, Task};
 use serde::Serialize;
@@ -50,19 +50,22 @@ pub fn curves(analysis: &Analysis, asked: &Asked) -> Result<Vec<Curve>, ReportEr
     if asked.experiments.is_empty() {
         return Ok(Vec::new());
     }
-    let is_general = |metric: &str| {
-        let mut all = Metric::GENERAL.into_iter().chain([Metric::Skill]);
-        all.any(|general| general.name() == metric)
+    let general = Metric::GENERAL.into_iter().chain([Metric::Skill]);
+    let question = Question {
+        experiments: asked.experiments.clone(),
+        task: Some(Task::Prediction),
+        metrics: general.map(|metric| metric.name().to_owned()).collect(),
+        by: vec![Key::Horizon],
+        ..Question::default()
     };
-    let is_shown = |mean: &Mean| {
-        let of = &mean.of;
-        of.task == Task::Prediction && is_general(&of.metric) && asked.experiments.contains(&of.experiment)
+    let answer = match question.answer(analysis) {
+        Err(AnalysisError::NoMeans { .. }) => return Ok(Vec::new()),
+        answer => answer?,
     };
-    let means: Vec<Mean> = analysis.means_by(&[Key::Horizon])?.into_iter().filter(is_shown).collect();
-    let labels = Labels::new(analysis, &[]);
+    let (means, labels) = (&answer.cells, &answer.labels);
     // The curves of a panel are drawn together.
     let mut panels: BTreeMap<_, BTreeMap<Model, ByHorizon>> = BTreeMap::new();
-    for mean in &means {
+    for mean in means {
         let of = &mean.of;
         let panel = (&of.experiment, &of.scenario, of.predicted(), &of.metric);
         let model = Model {

@@ -3,14 +3,13 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use harness_analysis::{
-    Analysis, AnalysisError, Comparison, Interval, Key, Labels, Mean, Part, Selection, Setting, Side,
-    Subject, all_settings, best, higher_is_better, metric_label, printed, usual_key, varied_settings,
-    whole_metrics,
+    Analysis, AnalysisError, Key, Question, Selection, Setting, all_settings, higher_is_better,
+    varied_settings,
 };
 use harness_catalog::{QueryError, query_all, query_recorded};
 use harness_claims::{Claim, ClaimsError, ClaimsFile, Judgment, Readings, judge};
 use harness_registry::{Recorded, Registry};
-use harness_spec::SpecError;
+use harness_spec::{SpecError, Task};
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame, PolarsError};
 use serde_json::{Value, json};
@@ -159,11 +158,15 @@ fn horizons_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, F
         return Ok(Vec::new());
     }
     let run = Analysis::of(registry, vec![recorded.clone()], &Selection::default())?;
-    let mut means = run.means_by(&[Key::Horizon])?;
-    // A reconstruction is 0 samples ahead.
-    means.retain(|mean| mean.of.horizon > Some(0));
-    let horizons = Mean::frame(&means)?;
-    Ok(columns(&horizons, horizons.height()))
+    let (task, metrics) = (Some(Task::Prediction), run.whole_metrics()?);
+    match (Question { task, metrics, by: vec![Key::Horizon], ..Question::default() }).answer(&run) {
+        // A run that is not done has none.
+        Err(AnalysisError::Nothing(_) | AnalysisError::NoMeans { .. }) => Ok(Vec::new()),
+        answer => {
+            let horizons = answer?.frame()?;
+            Ok(columns(&horizons, horizons.height()))
+        }
+    }
 }
 
 /// The answer to a query over the tables of one run.
@@ -210,68 +213,19 @@ pub fn compare(registry: &Registry, runs: &[Recorded], experiment: &str) -> Resu
     let selection = Selection { experiments: vec![experiment.to_owned()], ..Selection::default() };
     let registry = registry.anew();
     let mut analysis = Analysis::of(&registry, runs.to_vec(), &selection)?;
-    let mut means = analysis.means_at_own_horizons()?;
     let mut notes: Vec<String> = Vec::new();
-    if means.is_empty()
-        && let AnalysisError::Outdated { world, version, .. } = analysis.nothing_of(experiment)
-    {
+    if analysis.runs(experiment).is_empty() {
+        let AnalysisError::Outdated { world, version, .. } = analysis.nothing_of(experiment) else {
+            return Err(Failure::Unknown(format!("finished run of {experiment}")));
+        };
         notes.push(format!("of version {version} of the world {world}, which has changed since"));
         let of_world = Setting { experiment: None, key: "world".to_owned(), value: version };
         let selection = Selection { settings: vec![of_world], ..selection };
         analysis = Analysis::of(&registry.anew(), runs.to_vec(), &selection)?;
-        means = analysis.means_at_own_horizons()?;
     }
-    if means.is_empty() {
-        return Err(Failure::Unknown(format!("finished run of {experiment}")));
-    }
-    let metrics = whole_metrics(&means);
-    let means: Vec<Mean> = means.into_iter().filter(|mean| metrics.contains(&mean.of.metric)).collect();
-    let labels = Labels::new(&analysis, &[]);
-    let comparison = Comparison::new(&means, &[usual_key(&means)], &metrics, &labels);
-    let table = |part: Part| {
-        let column = |side: &&Side| json!({ "name": side.name(), "is_baseline": side.baseline.is_some() });
-        let row = |subject: &&Subject| {
-            let unit = comparison.units[*subject];
-            let metric = &metrics[subject.metric];
-            let intervals: Vec<Option<Interval>> =
-                part.columns.iter().map(|side| Some(comparison.mean(subject, side)?.interval)).collect();
-            let means: Vec<Option<f64>> =
-                intervals.iter().map(|interval| Some(interval.as_ref()?.mean)).collect();
-            let cells = intervals.iter().zip(best(metric, unit, &means));
-            let cell = |(interval, is_best): (&Option<Interval>, bool)| {
-                interval.as_ref().map(|interval| cell(interval, unit, is_best))
-            };
-            json!({
-                "modality": subject.predicted_ahead(),
-                "metric": metric_label(metric, unit),
-                "better": higher_is_better(metric),
-                "cells": cells.map(cell).collect::<Vec<_>>(),
-            })
-        };
-        json!({
-            "task": part.task.name(),
-            "scenario": part.scenario.map(ToString::to_string),
-            "settings": part.settings,
-            "over": part.over,
-            "columns": part.columns.iter().map(column).collect::<Vec<_>>(),
-            "rows": part.rows.iter().map(row).collect::<Vec<_>>(),
-        })
-    };
-    let tables: Vec<Value> = comparison.parts().into_iter().map(table).collect();
-    notes.extend(analysis.notes().iter().cloned().chain(registry.left_out()));
-    Ok(Answer::Json(json!({ "tables": tables, "notes": notes }).to_string()))
-}
-
-/// A mean of a table, with its interval and the text that shows both.
-fn cell(interval: &Interval, unit: &str, is_best: bool) -> Value {
-    let (mean, half) = printed(interval, unit);
-    let bounds = interval.bounds.map(|(low, high)| [number(low), number(high)]);
-    json!({
-        "mean": number(interval.mean),
-        "bounds": bounds,
-        "text": half.map_or(mean.clone(), |half| format!("{mean} ± {half}")),
-        "is_best": is_best,
-    })
+    let answer = Question { metrics: analysis.whole_metrics()?, ..Question::default() }.answer(&analysis)?;
+    notes.extend(answer.ahead().into_iter().chain(answer.notes.iter().cloned()).chain(registry.left_out()));
+    Ok(Answer::Json(json!({ "tables": answer.parts(), "notes": notes }).to_string()))
 }
 
 /// All tables with their columns.

@@ -5,9 +5,10 @@ use harness_analysis::higher_is_better;
 use harness_analysis::models::baselines_in_sql;
 use harness_catalog::query_recorded;
 use harness_registry::{Recorded, Registry, Remembered, RunRecord};
+use harness_spec::Modality;
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -18,13 +19,9 @@ const FRESH: Duration = Duration::from_secs(1);
 const RUNS: &str = "select experiment, run, status, scenario, input, output, architecture, latent, variant, seed, \
      started, prediction_seconds + coalesce(reconstruction_seconds, 0) + evaluation_seconds as seconds, \
      parameters, reading, reason, host, dataset, group_hash from runs order by experiment, run";
-/// The overall metrics of predictions of the next sample, by all models but baselines.
-const METRICS: &str = "select experiment, run, modality, metric, 1 as horizon, value from metrics \
-     where task = 'prediction' and model not in ({baselines}) and index is null and direction is null";
-/// Those of predictions of later samples.
-const FURTHER_METRICS: &str = "select experiment, run, modality, metric, horizon, value from all_metrics \
-     where task = 'prediction' and model not in ({baselines}) and index is null and direction is null \
-     and given is null and horizon > 1";
+/// The overall metrics of predictions, by all models but baselines.
+const METRICS: &str =
+    "where task = 'prediction' and model not in ({baselines}) and index is null and direction is null";
 
 /// The runs of a results folder, which are read again when they change.
 pub struct Snapshot {
@@ -125,13 +122,22 @@ impl Snapshot {
         let runs = ask(RUNS)?;
         let mut left_out = self.left_out.clone();
         let own: HashMap<(&str, &str), i64> = all.iter().map(|(_, record)| own_horizon(record)).collect();
-        let further = own.values().any(|horizon| *horizon > 1).then_some(FURTHER_METRICS);
+        let horizons: BTreeSet<i64> = own.values().copied().collect();
+        let further = horizons.iter().any(|horizon| *horizon > 1);
+        let listed: Vec<String> = horizons.iter().map(i64::to_string).collect();
+        let (horizon, table) = if further { ("horizon", "all_metrics") } else { ("1 as horizon", "metrics") };
+        let mut sql =
+            format!("select experiment, run, modality, metric, {horizon}, value from {table} {METRICS}");
+        if further {
+            sql += &format!(
+                " and given is null and (horizon in ({}) or modality = 'latent')",
+                listed.join(", ")
+            );
+        }
         let mut metrics = Metrics::new();
-        for sql in [METRICS].into_iter().chain(further) {
-            match ask(&sql.replace("{baselines}", &baselines_in_sql())) {
-                Ok(rows) => add_metrics(&mut metrics, &runs, &rows, &own)?,
-                Err(error) => left_out.push(format!("the metrics of all runs are left out: {error}")),
-            }
+        match ask(&sql.replace("{baselines}", &baselines_in_sql())) {
+            Ok(rows) => add_metrics(&mut metrics, &runs, &rows, &own)?,
+            Err(error) => left_out.push(format!("the metrics of all runs are left out: {error}")),
         }
         let is_whole = left_out.len() == self.left_out.len();
         let mut found = columns(&runs, runs.height());
@@ -139,9 +145,9 @@ impl Snapshot {
             let values: Vec<Value> =
                 values.into_iter().map(|value| value.map_or(Value::Null, number)).collect();
             found.push(json!({
-                "name": match (further, horizon) {
-                    (None, _) => format!("{modality} {metric}"),
-                    (_, 1) => format!("{modality} {metric}, next sample"),
+                "name": match horizon {
+                    _ if !further || modality == Modality::LATENT.name() => format!("{modality} {metric}"),
+                    1 => format!("{modality} {metric}, next sample"),
                     _ => format!("{modality} {metric}, {horizon} samples ahead"),
                 },
                 "metric": metric,
@@ -170,7 +176,7 @@ fn own_horizon(record: &RunRecord) -> ((&str, &str), i64) {
     ((&record.experiment, &record.run), record.spec.window.horizon as i64)
 }
 
-/// Adds the overall metrics of each row of `runs`: those of the next sample, and of the run's own horizon.
+/// Adds the overall metrics of each row of `runs`: those of the run's own horizon, and of the latent state.
 fn add_metrics(
     found: &mut Metrics,
     runs: &DataFrame,
@@ -194,7 +200,8 @@ fn add_metrics(
         let Some(place) = rows.get(&(experiment.get(row), run.get(row))) else { continue };
         let (Some(modality), Some(metric)) = (modality.get(row), metric.get(row)) else { continue };
         let name = experiment.get(row).zip(run.get(row));
-        let is_own = |horizon: &i64| *horizon == 1 || name.and_then(|name| own.get(&name)) == Some(horizon);
+        let is_of_latent = modality == Modality::LATENT.name();
+        let is_own = |horizon: &i64| is_of_latent || name.and_then(|name| own.get(&name)) == Some(horizon);
         let Some(horizon) = horizons.get(row).filter(is_own) else { continue };
         let column = found.entry((modality.to_owned(), metric.to_owned(), horizon));
         column.or_insert_with(|| vec![None; runs.height()])[*place] = values.get(row);

@@ -17,7 +17,7 @@ what to test them. Results are tables in a folder, `results` by default.
 Experiments and results:
 
 - `run` does an experiment. `collect` only simulates its datasets, with the motion of the world or with a policy.
-- `query` answers SQL queries over the tables, and `compare` computes means over seeds.
+- `query` answers SQL queries over the tables, and `answer` (or `compare`) computes means over seeds.
 - `plot` draws a metric over a setting. `report` writes all results, or those of some experiments, to one HTML page.
 - `claims` judges the paper's statements, and `figures` draws the paper's figures.
 - `verify` checks all files of a results folder.
@@ -83,6 +83,7 @@ __all__ = [
     "SimulationBatch",
     "Summary",
     "add_metric",
+    "answer",
     "claims",
     "collect",
     "compare",
@@ -310,48 +311,72 @@ def query(sql: str, results: str | os.PathLike[str] = "results") -> "polars.Data
     return polars.DataFrame(_harness.query(sql, Path(results)))
 
 
-def compare(
+def answer(
     *experiments: str,
+    of: str | Iterable[str] = (),
+    metrics: str | Iterable[str] = (),
+    models: str | Iterable[str] = (),
+    task: str | None = None,
+    horizon: int | str | Iterable[int | str] = (),
+    given: str | Iterable[str] = (),
+    by: str | Iterable[str] = (),
     where: Mapping[str, Any] | None = None,
-    horizon: int | Iterable[int] = (),
+    against: str | None = None,
+    interval: str = "mean",
     results: str | os.PathLike[str] = "results",
 ) -> "polars.DataFrame":
     """Computes the means of metrics over datasets and seeds, with 95 % intervals, as `harness compare` does.
 
     A metric is computed on the test samples over all joints, links or pixels. Runs that differ only in their seed, or
     in the seed of their dataset, share a row. The intervals are those of Student's t. Baselines have no latent size.
+    `compare` is another name of this function, and `plot` takes the same arguments.
 
     Args:
         experiments: names of experiments. Without any, all experiments are compared.
+        of: the predicted modality or modalities, or the part of one with one unit, such as `joints in rad`.
+        metrics: the metric or metrics. The default is `smape`, `wmape`, `r2` and `relative_error`.
+        models: `network`, which stands for all networks and models of other programs, the baselines `persistence`,
+            `ridge` and `training_mean`, or names of models of other programs. The default is all of them.
+        task: `prediction` or `reconstruction`. The default is both.
+        horizon: how far ahead the predictions are: numbers of samples, such as 5, or times, such as `"0.5s"`. The
+            default is `window.horizon` of each run's spec, or all horizons if `horizon` is one of the keys.
+        given: the modality or modalities that the models got, of models that got only some of their run's inputs.
+        by: the key or keys that tell the columns of a table apart. In the answer, settings are columns of their own.
         where: settings that the runs must have, by dotted key: `{"training.batch_size": 64}`.
-        horizon: the number or numbers of samples that are predicted ahead. The default is the next sample.
+        against: the heading of a column in the table of `harness compare`. The other rows are paired differences from
+            it.
+        interval: `mean` for the confidence interval of the mean, or `next-dataset` for the prediction interval of one
+            more dataset.
         results: the folder of datasets and runs.
 
     Returns:
-        One row for each mean. With `horizon`, the column `horizon` says how far ahead. `seeds` is the number of values: one for each seed on each dataset. A baseline has one
-        for each dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are
-        the ends of the interval, which a single value does not have. If the runs of an experiment differ in settings
-        other than scenario, latent size and variant, the column `settings` contains these.
+        One row for each mean. `horizon` says how many samples it is ahead, and `better` whether higher or lower values
+        are better. `seeds` is the number of values: one for each seed on each dataset. A baseline has one for each
+        dataset. With several `datasets`, the interval is over the means of the datasets. `low` and `high` are the ends
+        of the interval, which a single value does not have. If the runs of an experiment differ in settings other than
+        scenario, latent size and variant, the column `settings` contains these. With `against`, the column
+        `difference_from` has the heading in rows with differences, and `p` their p-values, corrected for their number
+        by Holm's method.
 
     Raises:
         KeyError: an experiment has no finished runs.
-        ValueError: no run has a setting of `where`, or predicts so many samples ahead.
+        ValueError: no run has a setting of `where`, a metric, model or modality, or predicts so far ahead.
         FileNotFoundError: there is no results folder.
         RuntimeError: a table is damaged.
 
     Example:
-        >>> means = harness.compare("smoke", where={"latent": 4})
-        >>> means.filter(metric="r2", modality="contact_force").select("scenario", "model", "seeds", "mean", "low")
+        >>> means = harness.answer("smoke", of="contact_force", metrics="r2", where={"latent": 4})
+        >>> means.select("scenario", "model", "seeds", "mean", "low")
         shape: (8, 5)
         ...
     """
     import polars
 
-    chosen = _names("experiments", experiments)
-    horizons = {horizon} if isinstance(horizon, int) else set(horizon)
-    if not all(isinstance(number, int) and number > 0 for number in horizons):
-        raise ValueError("horizon: numbers of samples, at least 1")
-    return polars.DataFrame(_harness.compare(chosen, _settings(where), horizons, Path(results)))
+    question = _question(experiments, of, metrics, models, task, horizon, given, by, where, against, interval)
+    return polars.DataFrame(_harness.answer(question, Path(results)))
+
+
+compare = answer
 
 
 def add_metric(
@@ -454,7 +479,7 @@ def figures(
     multi: str | None = None,
     reading: str | None = None,
     experiment: str | None = None,
-    modality: str | None = None,
+    of: str | None = None,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
 ) -> list[Path]:
@@ -469,8 +494,8 @@ def figures(
         multi: the experiment to draw instead of `multi_to_multi`.
         reading: the reading of an experiment to draw instead of both, such as `paper/recommended`.
         experiment: draws what the figures show of this experiment, of any robot, instead of the paper's experiments.
-        modality: the modality that `horizon` shows, or the part of it with one unit, such as `joints in rad`.
-        where: settings that the runs must have, by dotted key, as in `compare`.
+        of: the modality that `horizon` shows, or the part of it with one unit, such as `joints in rad`.
+        where: settings that the runs must have, by dotted key, as in `answer`.
         results: the folder of datasets and runs.
 
     Returns:
@@ -502,7 +527,7 @@ def figures(
         multi,
         reading,
         experiment,
-        modality,
+        of,
         _settings(where),
         Path(results),
     )
@@ -514,38 +539,27 @@ def figures(
 def plot(
     *experiments: str,
     x: str,
-    y: str,
-    by: str | Iterable[str] = (),
+    metrics: str,
     facet: str | None = None,
-    models: str | Iterable[str] = "network",
-    task: str | None = None,
-    horizon: int | None = None,
-    modality: str | None = None,
-    where: Mapping[str, Any] | None = None,
     output: str | os.PathLike[str] = "plot.svg",
     results: str | os.PathLike[str] = "results",
+    **question: Any,
 ) -> Path:
     """Draws a metric of networks and baselines over a key, as `harness plot` does.
 
-    Points are the means of `compare`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
-    settings, task, modality, and any setting of a spec, such as `input`. A baseline has no latent state, so it has the
-    same value at every latent size.
+    Points are the means of `answer`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
+    settings, horizon, task, modality, and any setting of a spec, such as `input`. A baseline has no latent state, so it
+    has the same value at every latent size.
 
     Args:
         experiments: names of experiments; all of them by default.
         x: the key along the horizontal axis.
-        y: the metric along the vertical axis, such as `r2`.
-        by: the key or keys that distinguish series.
+        metrics: the metric along the vertical axis, such as `r2`.
         facet: the key that distinguishes panels.
-        models: what is drawn: `network`, which stands for all networks and models of other programs, the baselines
-            `persistence`, `ridge` and `training_mean`, or names of models of other programs.
-        task: prediction or reconstruction. The default is prediction, or both if `task` is one of the keys.
-        horizon: the number of samples that are predicted ahead. The default is the next sample, or all horizons if
-            `horizon` is one of the keys.
-        modality: draws only this predicted modality, such as `contact_force`.
-        where: settings that the runs must have, as in `compare`.
         output: the file to write. It ends in `.svg`, `.png`, or `.csv` for the numbers.
         results: the folder of datasets and runs.
+        question: the other arguments of `answer`. The keys of `by` distinguish series. The default of `models` is
+            `network`, and that of `task` the prediction, or both if `task` is one of the keys.
 
     Returns:
         The path of the file.
@@ -559,14 +573,11 @@ def plot(
         RuntimeError: a table is damaged.
 
     Example:
-        >>> harness.plot("smoke", x="latent", y="r2", by="modality", facet="scenario", output="r2.png")
+        >>> harness.plot("smoke", x="latent", metrics="r2", by="modality", facet="scenario", output="r2.png")
         PosixPath('r2.png')
     """
-    chosen, keys, models = _names("experiments", experiments), list(name_tuple(by)), list(name_tuple(models))
-    settings, file = _settings(where), Path(output)
-    if horizon is not None and horizon < 1:
-        raise ValueError("horizon: a number of samples, at least 1")
-    _harness.plot(chosen, x, y, keys, facet, models, task, horizon, modality, settings, file, Path(results))
+    asked = _question(experiments, metrics=metrics, **question)
+    _harness.plot(asked, x, facet, Path(output), Path(results))
     return Path(output)
 
 
@@ -1023,6 +1034,36 @@ class Dataset(_harness.Dataset):
 def _changes(overrides: Mapping[str, Any] | None) -> list[str]:
     """Returns changed settings as on the command line, `KEY=VALUE`."""
     return [f"{key}={_text('overrides', key, value)}" for key, value in _items("overrides", overrides)]
+
+
+def _question(
+    experiments: Iterable[str],
+    of: str | Iterable[str] = (),
+    metrics: str | Iterable[str] = (),
+    models: str | Iterable[str] = (),
+    task: str | None = None,
+    horizon: int | str | Iterable[int | str] = (),
+    given: str | Iterable[str] = (),
+    by: str | Iterable[str] = (),
+    where: Mapping[str, Any] | None = None,
+    against: str | None = None,
+    interval: str = "mean",
+) -> dict[str, Any]:
+    """Returns a question; see `answer`."""
+    horizons = [horizon] if isinstance(horizon, (int, str)) else horizon
+    return {
+        "experiments": _names("experiments", experiments),
+        "of": list(name_tuple(of)),
+        "metrics": list(name_tuple(metrics)),
+        "models": list(name_tuple(models)),
+        "task": task,
+        "horizon": [str(ahead) for ahead in horizons],
+        "given": ",".join(name_tuple(given)) or None,
+        "by": list(name_tuple(by)),
+        "settings": _settings(where),
+        "against": against,
+        "interval": interval,
+    }
 
 
 def _settings(where: Mapping[str, Any] | None) -> list[str]:

@@ -16,10 +16,10 @@ __all__ = [
     "Table",
     "Task",
     "add_metric",
+    "answer",
     "attached",
     "claims",
     "collect",
-    "compare",
     "export_onnx",
     "figures",
     "main",
@@ -45,8 +45,8 @@ def run(
 def query(sql: str, results: Path) -> Table:
     """See `harness.query`."""
 
-def compare(experiments: list[str], settings: list[str], horizons: set[int], results: Path) -> Table:
-    """See `harness.compare`."""
+def answer(question: dict[str, Any], results: Path) -> Table:
+    """See `harness.answer`."""
 
 def claims(
     chosen: list[str], file: Path, reading: str | None, quick: bool, settings: list[str], results: Path
@@ -62,26 +62,13 @@ def figures(
     multi: str | None,
     reading: str | None,
     experiment: str | None,
-    modality: str | None,
+    of: str | None,
     settings: list[str],
     results: Path,
 ) -> tuple[list[str], list[tuple[str, str]]]:
     """The figures that were drawn, and the others with the reason; see `harness.figures`."""
 
-def plot(
-    experiments: list[str],
-    x: str,
-    y: str,
-    by: list[str],
-    facet: str | None,
-    models: list[str],
-    task: str | None,
-    horizon: int | None,
-    modality: str | None,
-    settings: list[str],
-    output: Path,
-    results: Path,
-) -> None:
+def plot(question: dict[str, Any], x: str, facet: str | None, output: Path, results: Path) -> None:
     """See `harness.plot`."""
 
 def report(

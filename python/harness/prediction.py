@@ -322,15 +322,18 @@ class PredictionTask(_harness.Task):
         with attachment(network) as file:
             return Submitted(*self.judge(predictions, model, number, _notes(notes), file, command, progress))
 
-    def compare(self) -> polars.DataFrame:
-        """Returns the means of all models, networks and baselines on the data of the task; see `harness.compare`.
+    def compare(self, **question: Any) -> polars.DataFrame:
+        """Returns the means of all models, networks and baselines on the data of the task.
+
+        Args:
+            question: arguments of `harness.answer`, such as `metrics`.
 
         Raises:
             KeyError: the experiment has no finished runs.
         """
-        from . import compare
+        from . import answer
 
-        means = compare(self.experiment, results=self.results)
+        means = answer(self.experiment, results=self.results, **question)
         return means.filter(scenario=self.scenario)
 
     def _windows_of(self, name: str, present: NDArray[np.int64], start: int, count: int) -> NDArray[Any]:

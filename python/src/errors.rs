@@ -92,9 +92,10 @@ impl Raise for AnalysisError {
     fn raise(self) -> PyErr {
         match self {
             Self::Query(error) => error.raise(),
-            Self::NothingFinished { .. } | Self::NothingChosen { .. } | Self::Outdated { .. } => {
-                PyKeyError::new_err(self.to_string())
-            }
+            Self::Nothing(_)
+            | Self::NothingFinished { .. }
+            | Self::NothingChosen { .. }
+            | Self::Outdated { .. } => PyKeyError::new_err(self.to_string()),
             _ => self.value_error(),
         }
     }
@@ -103,9 +104,7 @@ impl Raise for AnalysisError {
 impl Raise for FigureError {
     fn raise(self) -> PyErr {
         match self {
-            Self::Ambiguous { .. } | Self::TooMany { .. } | Self::NoMeans { .. } | Self::Horizon => {
-                self.value_error()
-            }
+            Self::Ambiguous { .. } | Self::TooMany { .. } | Self::SeveralMetrics(_) => self.value_error(),
             Self::Analysis(error) => error.raise(),
             Self::Query(error) => error.raise(),
             Self::Write(_) => PyOSError::new_err(describe(&self)),

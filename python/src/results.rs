@@ -1,9 +1,9 @@
-//! The Python functions `claims`, `figures`, `plot`, `report`, `verify` and `collect`.
+//! The Python functions `answer`, `claims`, `figures`, `plot`, `report`, `verify` and `collect`.
 
 use crate::errors::Raise;
 use crate::run::{Listener, Table, settings_of, warn, writable};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Key};
+use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::experiment::{self, describe};
@@ -11,7 +11,7 @@ use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::progress::Silent;
 use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, quoted};
-use harness::report::{Asked, ReportError};
+use harness::report::ReportError;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, Task};
 use pyo3::PyErr;
@@ -99,7 +99,7 @@ pub fn figures(
     multi: Option<String>,
     reading: Option<String>,
     experiment: Option<String>,
-    modality: Option<String>,
+    of: Option<String>,
     settings: Vec<String>,
     results: PathBuf,
 ) -> PyResult<Drawn> {
@@ -114,11 +114,11 @@ pub fn figures(
             Some(name) => Analysis::finished(&registry, std::slice::from_ref(name), &settings)?,
             None => shown.analysis(&registry, &settings)?,
         };
-        let source = shown.source(&analysis).showing(modality.clone());
+        let source = shown.source(&analysis).showing(of.clone());
         let (mut drawn, mut missing) = (Vec::new(), Vec::new());
         for figure in figures {
             let drawing = match &experiment {
-                Some(name) => figure.render_of(&analysis, name, modality.clone()),
+                Some(name) => figure.render_of(&analysis, name, of.clone()),
                 None => figure.render(&source),
             };
             match drawing.and_then(|drawing| drawing.save(&folder, figure.name(), &formats)) {
@@ -161,41 +161,70 @@ pub fn add_metric(
     interruptible(py, add, || ())?.map_err(Raise::raise)
 }
 
+/// A question, as Python gives it.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Asked {
+    experiments: Vec<String>,
+    of: Vec<String>,
+    metrics: Vec<String>,
+    models: Vec<String>,
+    task: Option<String>,
+    horizon: Vec<String>,
+    given: Option<String>,
+    by: Vec<String>,
+    settings: Vec<String>,
+    against: Option<String>,
+    interval: String,
+}
+
+impl Asked {
+    fn question(self) -> PyResult<Question> {
+        let horizon = |text: &String| {
+            let refused = |error: String| PyValueError::new_err(format!("horizon: '{text}': {error}"));
+            text.parse::<Horizon>().map_err(refused)
+        };
+        Ok(Question {
+            experiments: self.experiments,
+            settings: settings_of(&self.settings)?,
+            task: self.task.map(|task| one_named("task", &task, Task::ALL, Task::name)).transpose()?,
+            of: self.of,
+            metrics: self.metrics,
+            models: self.models,
+            horizons: self.horizon.iter().map(horizon).collect::<PyResult<_>>()?,
+            given: self.given,
+            by: self.by.iter().map(|name| key(name)).collect::<PyResult<_>>()?,
+            against: self.against,
+            over: one_named("interval", &self.interval, &Over::ALL, Over::name)?,
+        })
+    }
+}
+
+/// Computes means of metrics over seeds; see `harness.answer`.
+#[pyfunction]
+pub fn answer(py: Python, question: Asked, results: PathBuf) -> PyResult<Table> {
+    let (question, registry) = (question.question()?, existing(results)?);
+    let answer = interruptible(py, || question.ask(&registry), || ())?.map_err(Raise::raise)?;
+    warn(py, &registry)?;
+    let frame = answer.frame();
+    frame.map(Table).map_err(|error| PyRuntimeError::new_err(error.to_string()))
+}
+
 /// Draws a metric over a key, to a file; see `harness.plot`.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "they are those of `harness.plot`, where each has its name")]
 pub fn plot(
     py: Python,
-    experiments: Vec<String>,
+    question: Asked,
     x: &str,
-    y: &str,
-    by: Vec<String>,
     facet: Option<&str>,
-    models: Vec<String>,
-    task: Option<&str>,
-    horizon: Option<usize>,
-    modality: Option<String>,
-    settings: Vec<String>,
     output: PathBuf,
     results: PathBuf,
 ) -> PyResult<()> {
-    let plot = Plot {
-        x: key(x)?,
-        y: y.to_owned(),
-        by: by.iter().map(|name| key(name)).collect::<PyResult<_>>()?,
-        facet: facet.map(key).transpose()?,
-        task: task.map(|task| one_named("task", task, Task::ALL, Task::name)).transpose()?,
-        horizon,
-        modality,
-        models,
-    };
+    let plot = Plot::new(question.question()?, key(x)?, facet.map(key).transpose()?);
     let format = Format::of(&output).map_err(PyValueError::new_err)?;
-    let (settings, registry) = (settings_of(&settings)?, existing(results)?);
-    let draw = || -> PyResult<()> {
-        let analysis = Analysis::finished(&registry, &experiments, &settings).map_err(Raise::raise)?;
-        plot.draw(&analysis).and_then(|drawing| drawing.save_as(&output, format)).map_err(Raise::raise)
-    };
-    interruptible(py, draw, || ())??;
+    let registry = existing(results)?;
+    let draw = || plot.ask(&registry).and_then(|(drawing, _)| drawing.save_as(&output, format));
+    interruptible(py, draw, || ())?.map_err(Raise::raise)?;
     warn(py, &registry)
 }
 
@@ -224,7 +253,7 @@ pub fn report(
     let write = || -> PyResult<()> {
         let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
         let readings = harness::spec::load(&readings, &[], quick).map_err(Raise::raise)?;
-        let asked = Asked { experiments, settings, quick };
+        let asked = harness::report::Asked { experiments, settings, quick };
         let page = harness::report::page(&registry, &claims, &readings, &asked, &listener);
         let page = page.map_err(|error| match error {
             ReportError::Analysis(error) => error.raise(),

@@ -2,7 +2,7 @@
 
 use crate::errors::Raise;
 use crate::work::interruptible;
-use harness::analysis::{self, Setting};
+use harness::analysis::Setting;
 use harness::catalog;
 use harness::cli::progress::Bars;
 use harness::experiment::{self, ExperimentError, Runner, provenance};
@@ -138,24 +138,6 @@ pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
     let answer = answer.map_err(Raise::raise)?;
     warn(py, &registry)?;
     Ok(Table(answer))
-}
-
-/// Computes means of metrics over seeds; see `harness.compare`.
-#[pyfunction]
-pub fn compare(
-    py: Python,
-    experiments: Vec<String>,
-    settings: Vec<String>,
-    horizons: BTreeSet<usize>,
-    results: PathBuf,
-) -> PyResult<Table> {
-    let settings = settings_of(&settings)?;
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
-    let compare = || analysis::compare(&registry, &experiments, &settings, &horizons);
-    let means = interruptible(py, compare, || ())?.map_err(Raise::raise)?;
-    warn(py, &registry)?;
-    Ok(Table(means))
 }
 
 /// A table that Python can read through Arrow's C stream interface.

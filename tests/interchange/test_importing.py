@@ -72,8 +72,8 @@ def test_what_comes_back_by_parquet_equals_and_trains_the_same(dataset, harness,
     for command in (
         ["report", "smoke", "--output", files[0]],
         ["figures", "regression", "prediction_results", "--experiment", "smoke", "--output", files[1]],
-        ["plot", "smoke", "--x", "latent", "--y", "r2", "--by", "modality", "--output", files[2]],
-        ["compare", "smoke", "--difference-from", "persistence"],
+        ["plot", "smoke", "--x", "latent", "--metrics", "r2", "--by", "modality", "--output", files[2]],
+        ["compare", "smoke", "--against", "persistence"],
     ):
         answer = harness(*command)
         assert answer.returncode == 0, (command, answer.stderr)

@@ -150,7 +150,7 @@ def test_claims_can_be_about_it(results, tmp_path):
 
 
 def test_plot_and_report_show_it(results, tmp_path):
-    harness.plot("touch", x="variant", y="r2", output=tmp_path / "r2.csv", results=results)
+    harness.plot("touch", x="variant", metrics="r2", output=tmp_path / "r2.csv", results=results)
     assert "model=my_gru" in (tmp_path / "r2.csv").read_text()
     page = harness.report("touch", output=tmp_path / "report.html", results=results, progress=False).read_text()
     assert "model=my_gru" in page

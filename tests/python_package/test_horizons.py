@@ -79,7 +79,7 @@ def test_further_rows_change_no_answer(folders: tuple[Path, Path], tmp_path: Pat
     }
     for table, order in tables.items():
         same(lambda results: harness.query(f"select * from {table} order by experiment, {order}", results))
-    axes = {"x": "latent", "y": "r2", "by": "modality", "facet": "scenario", "output": tmp_path / "plot.csv"}
+    axes = {"x": "latent", "metrics": "r2", "by": "modality", "facet": "scenario", "output": tmp_path / "plot.csv"}
     same(lambda results: pl.read_csv(harness.plot("multi_to_multi", results=results, **axes)))
     for name in ("prediction_results", "regression"):
         drawn = [

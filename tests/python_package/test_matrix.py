@@ -146,7 +146,7 @@ COMMANDS = {
     "show": "show {first}",
     "diff": "diff {first} {last}",
     "compare": "compare {experiment}",
-    "plot": "plot {experiment} --x latent --y rmse --by modality,variant --facet scenario --output plot.svg",
+    "plot": "plot {experiment} --x latent --metrics rmse --by modality,variant --facet scenario --output plot.svg",
     "figures": "figures --experiment {experiment} --output drawn --format svg",
     "report": "report {experiment} --output report.html",
     "claims": "claims",

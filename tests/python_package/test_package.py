@@ -316,13 +316,13 @@ def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> 
 def test_plots_and_reports_are_those_of_the_commands(results: Path, tmp_path: Path) -> None:
     command = [Path(sys.executable).parent / "harness", "--results", results]
     output = tmp_path / "plot.svg"
-    made = harness.plot("smoke", x="latent", y="r2", by=["modality"], facet="scenario", output=output, results=results)
+    made = harness.plot("smoke", x="latent", metrics="r2", by=["modality"], facet="scenario", output=output, results=results)
     drawn = output.read_bytes()
-    asked = ["--x", "latent", "--y", "r2", "--by", "modality", "--facet", "scenario"]
+    asked = ["--x", "latent", "--metrics", "r2", "--by", "modality", "--facet", "scenario"]
     subprocess.run([*command, "plot", "smoke", *asked, "--output", output], check=True)
     assert made == output
     assert output.read_bytes() == drawn and b"<svg" in drawn
-    numbers = harness.plot(x="scenario", y="wmape", by="experiment", output=tmp_path / "plot.csv", results=results)
+    numbers = harness.plot(x="scenario", metrics="wmape", by="experiment", output=tmp_path / "plot.csv", results=results)
     assert set(polars.read_csv(numbers)["modality"]) == {"contact_force"}
 
     output = tmp_path / "report.html"
@@ -471,14 +471,14 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "two sources": lambda: harness.figures(reading="paper/base", multi="smoke", results=results),
         "two scopes": lambda: harness.figures(experiment="smoke", quick=True, results=results),
         "runs": lambda: harness.figures("regression", folder=results / "none", results=results),
-        "plot key": lambda: harness.plot(x="latents", y="r2", results=results),
-        "plot metric": lambda: harness.plot(x="latent", y="R2", results=results),
-        "plot ending": lambda: harness.plot(x="latent", y="r2", output="plot.pdf", results=results),
+        "plot key": lambda: harness.plot(x="latents", metrics="r2", results=results),
+        "plot metric": lambda: harness.plot(x="latent", metrics="R2", results=results),
+        "plot ending": lambda: harness.plot(x="latent", metrics="r2", output="plot.pdf", results=results),
         "plot series": lambda: harness.plot(
-            x="latent", y="r2", facet="scenario", output=results / "none.svg", results=results
+            x="latent", metrics="r2", facet="scenario", output=results / "none.svg", results=results
         ),
-        "plot of nothing": lambda: harness.plot("smoke", x="latent", y="r2", modality="vision", results=results),
-        "plotted experiment": lambda: harness.plot("nothing", x="latent", y="r2", results=results),
+        "plot of nothing": lambda: harness.plot("smoke", x="latent", metrics="r2", of="vision", results=results),
+        "plotted experiment": lambda: harness.plot("nothing", x="latent", metrics="r2", results=results),
         "reported experiment": lambda: harness.report("nothing", results=results, progress=False),
         "no results": lambda: harness.verify(results / "none"),
         "latent": lambda: model.reconstruct(np.zeros((3, 5), np.float32)),
@@ -857,7 +857,7 @@ def test_paths_are_taken_as_they_are(results: Path, tmp_path: Path) -> None:
     model = harness.load_model("smoke/empty", results=copy)
     assert len(harness.Dataset(copy / "datasets" / model.dataset)) == 120
     assert harness.compare("smoke", results=copy).height > 0
-    harness.plot("smoke", x="scenario", y="r2", by="modality", output=folder / "plot.svg", results=copy)
+    harness.plot("smoke", x="scenario", metrics="r2", by="modality", output=folder / "plot.svg", results=copy)
     harness.report("smoke", output=folder / "page.html", results=copy, progress=False)
     harness.export_onnx("smoke/empty", folder / "network.onnx", results=copy)
     assert harness.run(SMOKE, {"scenarios": "empty", "seeds": 1}, results=copy, progress=False) == (1, 0)

@@ -67,7 +67,7 @@ def test_files_are_written_to_a_folder_of_any_name(
     shutil.copy(SMOKE, spec := new / "spec [1] # %41.yaml")
     calls: dict[str, Any] = {
         "plot.svg": lambda path: harness.plot(
-            "smoke", x="scenario", y="r2", by="modality", output=path, results=found
+            "smoke", x="scenario", metrics="r2", by="modality", output=path, results=found
         ),
         "report.html": lambda path: harness.report("smoke", output=path, results=found, progress=False),
         "model.onnx": lambda path: harness.export_onnx("smoke/empty", path, results=found),

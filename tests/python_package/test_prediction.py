@@ -215,7 +215,7 @@ def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
         task.submit(predict, model="noisy", seed=seed, notes={"commit": "ab12cd3"}, progress=False)
     own = task.compare().filter(variant="model=noisy", model="noisy", metric="r2")
     assert own["seeds"].to_list() == [3] * own.height and own["low"].is_not_null().all()
-    plot: dict[str, Any] = {"x": "variant", "y": "r2", "by": "modality", "where": {"window.horizon": 5}}
+    plot: dict[str, Any] = {"x": "variant", "metrics": "r2", "by": "modality", "where": {"window.horizon": 5}}
     harness.plot("smoke", **plot, output=tmp_path / "r2.png", results=copy)
     # Further ahead, by the name of the model.
     harness.plot("smoke", **plot, horizon=5, models="noisy", output=tmp_path / "r2.csv", results=copy)
@@ -225,7 +225,7 @@ def test_every_command_takes_the_run(copy: Path, tmp_path: Path) -> None:
     wanted = ahead.filter(model="noisy", horizon=5).sort("modality", "direction")
     assert drawn.sort("modality", "direction")["mean"].to_list() == pytest.approx(wanted["mean"].to_list())
     for call in (harness.compare, lambda *names, **asked: harness.plot(*names, **plot, **asked)):
-        with pytest.raises(ValueError, match="no run predicts 3 samples ahead; the horizons of the runs are 1, 2, 5"):
+        with pytest.raises(ValueError, match="no run predicts 3 samples ahead; the runs predict 1, 2, 5"):
             call("smoke", horizon=3, results=copy)
     page = harness.report("smoke", output=tmp_path / "report.html", results=copy, progress=False)
     assert "model=noisy" in page.read_text()
@@ -480,7 +480,7 @@ def test_a_metric_of_ones_own_is_in_every_table(copy: Path, tmp_path: Path) -> N
     assert harness.verify(copy) == []
     means = task.compare().filter(metric="within", variant="model=last", modality="proprioception")
     assert (means["seeds"].item(), means["unit"].item()) == (2, "%")
-    harness.plot("smoke", x="variant", y="within", by=["modality"], where={"window.horizon": 5},
+    harness.plot("smoke", x="variant", metrics="within", by=["modality"], where={"window.horizon": 5},
                  output=tmp_path / "within.csv", results=copy)
     assert "model=last" in (tmp_path / "within.csv").read_text()
     page = harness.report("smoke", output=tmp_path / "report.html", results=copy, progress=False)

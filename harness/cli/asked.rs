@@ -1,0 +1,139 @@
+//! The options that ask a question of results. Commands about results share them.
+
+use super::{DIVIDED, item};
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, Args, Command};
+use harness::analysis::{Horizon, Key, Over, Question, Setting};
+use harness::spec::Task;
+use std::ffi::OsStr;
+
+/// The option that chooses runs.
+#[derive(Args)]
+pub struct Where {
+    /// Use only runs with this setting, for example training.epochs=200; may be given several times. Several values of
+    /// one setting are alternatives
+    #[arg(long = "where", value_name = "KEY=VALUE")]
+    pub settings: Vec<Setting>,
+}
+
+/// A question on the command line.
+#[derive(Args)]
+pub struct Asked {
+    /// Experiments, as `harness ls` names them [default: all]
+    #[arg(value_name = "EXPERIMENT")]
+    experiments: Vec<String>,
+    /// Only the predictions of these modalities, separated by commas, or of the part of one with one unit, for example
+    /// "arm in rad" [default: all]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = item)]
+    of: Vec<String>,
+    /// The metrics, separated by commas [default: smape,wmape,r2,relative_error]:
+    /// - r2, rmse, mae, smape, wmape, relative_error
+    /// - relative_error_REGION: only for the pixels of a region, such as finger
+    /// - r2_KIND: only for a kind of contact, such as ground
+    /// - log_r2, trimmed_r2, f1, auc: of forces, without much weight on the strongest contacts
+    /// - crps, coverage_50, coverage_90, width_50, width_90: of the predictive distribution of forces
+    /// - crps_PHASE: only for contact, onset, sustained, release or free
+    /// - r2_from_Ns: only for the samples after N s
+    /// - skill: that over persistence
+    /// - skill_horizon: the horizon up to which the skill is positive
+    /// - kl: that of the latent state
+    /// - active: the number of dimensions of the latent state that are used
+    /// - the metrics that you have added to runs, by their names
+    #[arg(verbatim_doc_comment, long, value_name = "METRIC", value_delimiter = ',', value_parser = item)]
+    metrics: Vec<String>,
+    /// The models, separated by commas: network, which stands for all networks and models of other programs, the
+    /// baselines persistence, ridge and training_mean, or the name of a model of another program [default: all in a
+    /// table, network in a plot]
+    #[arg(long, value_name = "MODEL", value_delimiter = ',', value_parser = item)]
+    models: Vec<String>,
+    /// Only this task [default: both in a table, prediction in a plot]
+    #[arg(long, value_parser = task())]
+    task: Option<Task>,
+    /// How far ahead the predictions are: numbers of samples, as 5, or times, as 0.5s, separated by commas [default:
+    /// `window.horizon` of each run's spec, or all horizons if they are a key of the answer]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = |text: &str| item(text)?.parse::<Horizon>())]
+    horizon: Vec<Horizon>,
+    /// The modalities that the models got, joined by +, of models that got only some of their run's inputs
+    #[arg(long, value_name = "NAME")]
+    given: Option<String>,
+    /// The keys that distinguish the columns of a table or the series of a plot, separated by commas: those below, or
+    /// settings, such as input or network.hidden. All other keys distinguish rows or tables [default of a table: latent,
+    /// or variant if the runs of one experiment have several variants and one latent size]
+    #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key())]
+    by: Vec<Key>,
+    /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those
+    /// of runs with the same dataset and seed, or with the same dataset if the column is a baseline. Those with p < 0.05
+    /// are marked, where p is corrected for the number of differences by Holm's method
+    #[arg(long, value_name = "COLUMN")]
+    against: Option<String>,
+    /// What the intervals are to contain: the mean over all datasets and seeds, or the value on one more dataset
+    #[arg(
+        long,
+        value_name = "OVER",
+        value_parser = PossibleValuesParser::new(Over::ALL.map(Over::name)),
+        default_value = Over::Mean.name()
+    )]
+    interval: String,
+    #[command(flatten)]
+    runs: Where,
+}
+
+impl Asked {
+    /// The question.
+    pub fn question(self) -> Question {
+        Question {
+            experiments: self.experiments,
+            settings: self.runs.settings,
+            task: self.task,
+            of: self.of,
+            metrics: self.metrics,
+            models: self.models,
+            horizons: self.horizon,
+            given: self.given.map(|given| given.replace('+', ",")),
+            by: self.by,
+            against: self.against,
+            over: Over::ALL.into_iter().find(|over| over.name() == self.interval).unwrap_or_default(),
+        }
+    }
+}
+
+/// A parser for names of tasks, whose error lists all names.
+fn task() -> impl TypedValueParser<Value = Task> {
+    PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name()))
+        .try_map(|name| Task::ALL.iter().copied().find(|task| task.name() == name).ok_or("no such task"))
+}
+
+/// A parser for names of keys, whose error lists them, and for the keys of settings.
+pub fn key() -> impl TypedValueParser<Value = Key> {
+    KeyParser
+}
+
+#[derive(Clone)]
+struct KeyParser;
+
+fn named() -> impl Iterator<Item = PossibleValue> {
+    Key::ALL.iter().map(|key| PossibleValue::new(key.name()).help(key.meaning()))
+}
+
+impl TypedValueParser for KeyParser {
+    type Value = Key;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Key, clap::Error> {
+        let key = value.to_str().and_then(|text| text.parse::<Key>().ok());
+        let named = PossibleValuesParser::new(named()).try_map(|name| name.parse());
+        if let Some(key) = key.filter(|key| key.setting().is_some()) {
+            return Ok(key);
+        }
+        named.parse_ref(command, arg, value).map_err(|mut error| {
+            let of_settings = "settings of a spec are possible too, such as input or network.hidden";
+            let hint = StyledStr::from(if value.is_empty() { DIVIDED } else { of_settings });
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![hint]));
+            error
+        })
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(named()))
+    }
+}
