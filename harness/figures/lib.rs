@@ -8,7 +8,6 @@
 
 mod anatomy;
 mod axes;
-mod clouds;
 mod curves;
 mod diagram;
 mod forces_dataset;
@@ -400,7 +399,7 @@ impl Figure {
             Figure::PredictionResults => over_latent(Task::Prediction),
             Figure::PropriovisionToVision => propriovision_to_vision::render_of(&runs()?).map(with_remark),
             Figure::ReconstructionPerformance => over_latent(Task::Reconstruction),
-            Figure::Regression => clouds::render(&runs()?).map(with_remark),
+            Figure::Regression => regression::render_of(runs()?).map(with_remark),
             Figure::Horizon => horizon::render(&source),
         }
     }

@@ -1,251 +1,258 @@
-//! Figure of predictions over references at the fingertip, in the cluttered scenario.
+//! Figure of predictions over references: a row of panels for each vector that networks predict, and a panel for each
+//! latent size. The paper's figure has the fingertip's angles and forces in clutter, for both studies.
 
-use super::axes::{Panel, Scale, legend, remarks, words_of};
-use super::clouds::{Cloud, LINE, LOOKS, PANELS, POINTS, draw, evenly};
-use super::page::{COLUMN, GRAY, Page, Stroke, Type};
-use super::source::{Runs, Source, Study, integers, reals, replicated};
+use super::axes::{Line, Look, Panel, Scale, legend, mean_words, remarks};
+use super::page::{COLUMN, GRAY, GREEN, Mark, Page, Stroke, Type, WINE};
+use super::source::{Runs, Source, Study, integers, reals, replicated, texts};
 use super::{Drawing, FigureError};
 use harness_analysis::{Interval, intervals};
-use harness_metrics::Direction;
-use harness_spec::{Modality, Scenario};
+use harness_spec::{Definition, Modality, Scenario};
 use polars::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-/// The axes of angles are about linear up to this angle and logarithmic beyond, so that they show the many small values
-/// as well as the few large ones.
-const LINEAR_RAD: f64 = 0.003;
-/// The same limit for the axes of forces.
-const LINEAR_N: f64 = 3.0;
-/// The part of the predictions at each end that may lie beyond the vertical axis.
-const RARE: f64 = 0.002;
-const LEFT: f64 = 33.0;
-const GAP: f64 = 5.0;
+/// Largest number of points for each element of a panel. More points would hide each other.
+const POINTS: usize = 400;
+/// Largest number of panels in a row. Each shows one latent size.
+const PANELS: usize = 3;
+const LEFT: f64 = 36.0;
+const GAP: f64 = 9.0;
+/// Distance between the lines of text above a panel, points.
+const LINE: f64 = 7.5;
 /// Width and height of a panel, points.
 const SIDE: f64 = (COLUMN - LEFT - 4.0 - 2.0 * GAP) / PANELS as f64;
+/// Height of a row of panels with its legend and labels, points.
+const ROW: f64 = SIDE + 58.0;
+/// The part of the values at each end that may lie beyond the axes.
+const RARE: f64 = 0.001;
+/// The axes are logarithmic if the largest reference is this many times the median of those that are not 0.
+const SKEWED: f64 = 10.0;
+/// The looks of the elements of a panel.
+const LOOKS: [Look; 2] = [
+    Look { color: GREEN, mark: Mark::Disc, hollow: false, line: Line::Solid },
+    Look { color: WINE, mark: Mark::Square, hollow: false, line: Line::Solid },
+];
 
-/// One study's predictions of one modality.
-struct Predictions {
+/// Values by latent size and element.
+type ByElement<T> = BTreeMap<(i64, i64), T>;
+
+/// Predictions of one vector in one scenario.
+struct Row<'a> {
+    definition: &'a Definition,
+    scenario: String,
     /// The inputs of the networks, in words.
     input: String,
-    latents: Vec<usize>,
-    /// Pairs of reference and prediction, by latent size and direction.
-    points: BTreeMap<(usize, Direction), Vec<[f64; 2]>>,
-    /// R² over all test samples, by latent size and direction.
-    r2: BTreeMap<(usize, Direction), Interval>,
-    /// The figure's CSV rows of these predictions.
-    data: DataFrame,
+    /// The elements that are drawn, at most two, which have one unit.
+    elements: Vec<usize>,
+    latents: Vec<i64>,
+    /// Pairs of reference and prediction, by latent size and element.
+    points: ByElement<Vec<[f64; 2]>>,
+    /// R² over all test samples, by latent size and element.
+    r2: ByElement<Interval>,
 }
 
-/// Draws the figure.
+/// Draws the paper's figure.
+///
+/// # Errors
+/// When the studies have no predictions, or a table can't be read.
 pub fn render(source: &Source) -> Result<Drawing, FigureError> {
-    let [single, multi] = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
-    let of = |modality, panel| -> Result<[Predictions; 2], FigureError> {
-        Ok([predictions(&single, modality, panel)?, predictions(&multi, modality, panel)?])
-    };
-    let [angles, forces] = [of(Modality::PROPRIOCEPTION, "a")?, of(Modality::CONTACT_FORCE, "b")?];
+    let studies = [source.runs(Study::SingleToMulti)?, source.runs(Study::MultiToMulti)?];
+    let in_clutter = format!(
+        "and scenario = '{}' and modality in ('{}', '{}')",
+        Scenario::CLUTTERED,
+        Modality::PROPRIOCEPTION,
+        Modality::CONTACT_FORCE
+    );
+    draw(&studies, &in_clutter)
+}
 
-    let leaves_out = angles.iter().any(|study| study.latents.len() > PANELS);
-    let height = if leaves_out { 501.0 } else { 492.5 };
-    let mut page = Page::new(COLUMN, height, "Predictions over references at the fingertip, in clutter");
-    let tips = tips(&single);
-    let axes = Direction::FINGER.map(words_of);
-    let joints = [0, 1].map(|place| format!("joint {}, {}", tips[place], axes[place]));
-    let tip = |link: usize| if Some(link) == tips.into_iter().max() { ", the tip" } else { "" };
-    let links = tips.map(|link| format!("link {link}{}", tip(link)));
-    let a = Block { letter: "a", quantity: "angle", unit: "rad", linear: LINEAR_RAD, names: joints };
-    a.render(&mut page, 8.0, &angles);
-    let b = Block { letter: "b", quantity: "force", unit: "N", linear: LINEAR_N, names: links };
-    b.render(&mut page, 232.0, &forces);
-    let spread = match [single.replicates(), multi.replicates()] {
-        [Some(a), Some(b)] if a == b => format!(", mean over {a} ± 95 % interval"),
-        [Some(a), Some(b)] => format!(", mean over {a} (above) and {b} (below) ± 95 %"),
-        _ => String::new(),
-    };
+/// Draws the figure of any robot.
+///
+/// # Errors
+/// When the runs have no predictions, or a table can't be read.
+pub fn render_of(runs: Runs) -> Result<Drawing, FigureError> {
+    draw(&[runs], "")
+}
+
+/// Draws the predictions of some studies that meet a condition of SQL.
+fn draw(studies: &[Runs], condition: &str) -> Result<Drawing, FigureError> {
+    let (mut all, mut data): (Vec<Row>, Option<DataFrame>) = (Vec::new(), None);
+    for runs in studies {
+        let (own, more) = rows(runs, condition)?;
+        all.extend(own);
+        data = Some(data.map_or(Ok(more.clone()), |data| data.vstack(&more))?);
+    }
+    all.sort_by_key(|row| (row.scenario.clone(), row.definition.name));
+    let over: BTreeSet<String> = studies.iter().filter_map(Runs::replicates).collect();
+    let over = over.into_iter().collect::<Vec<_>>().join(" or ");
+    let over = if over.is_empty() { over } else { format!(", mean over {over} ± 95 % interval") };
+    let further = studies.iter().flat_map(|runs| &runs.all).any(|run| run.record.spec.window.horizon > 1);
+    let what = if further { "predictions of the next sample" } else { "test samples of one network" };
     let mut lines = vec![
-        format!("R²: of all test samples{spread}"),
-        format!("dots: at most {POINTS} test samples of one network, evenly chosen; denser:"),
-        "several on one spot; grey line: perfect prediction; axes: linear".to_owned(),
-        format!("around 0, logarithmic beyond about {LINEAR_RAD} rad and {LINEAR_N} N;"),
-        "predictions beyond the axis are drawn at its end".to_owned(),
+        format!("R²: of all test samples{over}"),
+        format!("points: at most {POINTS} {what}, evenly chosen;"),
+        "those beyond an axis are drawn at its end; gray line: perfect prediction".to_owned(),
     ];
-    if leaves_out {
+    if all.iter().any(|row| row.axes(&all).2.is_some()) {
+        lines.push(
+            "where small values are frequent, axes are linear around 0 and then logarithmic".to_owned(),
+        );
+    }
+    if all.iter().any(|row| row.latents.len() > PANELS) {
         lines.push(format!("only the {PANELS} smallest latent sizes are drawn; the CSV file has all"));
     }
-    remarks(&mut page, 454.0, lines);
-    let mut data = angles[0].data.clone();
-    for more in [&angles[1], &forces[0], &forces[1]] {
-        data.vstack_mut(&more.data)?;
+    let height = ROW * all.len() as f64 + 8.5 * lines.len() as f64 + 8.0;
+    let mut page = Page::new(COLUMN, height, "Predictions over references");
+    for (place, row) in all.iter().enumerate() {
+        let title = if studies.len() > 1 { format!(", {}", row.input) } else { String::new() };
+        row.render(&mut page, 10.0 + ROW * place as f64, &title, row.axes(&all));
     }
-    Ok(Drawing { page, data })
+    remarks(&mut page, height - 8.5 * lines.len() as f64 + 4.0, lines);
+    Ok(Drawing { page, data: data.unwrap_or_default() })
 }
 
-/// Two rows of panels that show one quantity.
-struct Block {
-    letter: &'static str,
-    quantity: &'static str,
-    unit: &'static str,
-    /// The value up to which the axes are about linear.
-    linear: f64,
-    /// The names of the two directions' marks in the legend.
-    names: [String; 2],
+/// At most [`POINTS`] of some rows, chosen evenly, so that all episodes are represented equally.
+fn evenly(rows: &[usize]) -> Vec<usize> {
+    let count = rows.len().min(POINTS);
+    (0..count).map(|point| rows[point * rows.len() / count]).collect()
 }
 
-impl Block {
-    /// Draws a legend and two rows of panels: predictions without vision, and predictions with vision.
-    fn render(&self, page: &mut Page, top: f64, studies: &[Predictions; 2]) {
-        let entries = [0, 1].map(|place| (LOOKS[place], self.names[place].as_str()));
-        legend(page, COLUMN / 2.0, top, &entries);
-        for (row, study) in studies.iter().enumerate() {
-            let panel = Panel { left: LEFT, top: top + 33.0, width: SIDE, height: SIDE };
-            let panel = Panel { top: panel.top + row as f64 * (SIDE + 30.0), ..panel };
-            let above = Panel { top: panel.top - 2.0 * LINE, width: COLUMN - panel.left - 4.0, ..panel };
-            if row == 0 {
-                above.heading(
-                    page,
-                    self.letter,
-                    &format!("fingertip {} in clutter, {}", self.quantity, study.input),
-                );
-            } else {
-                page.text(&study.input, [panel.left - 1.0, above.top - 4.5], Type::LABEL.start());
-            }
-            let latents = &study.latents[..study.latents.len().min(PANELS)];
-            for (column, latent) in latents.iter().enumerate() {
-                let panel = Panel { left: LEFT + column as f64 * (SIDE + GAP), ..panel };
-                let (first, middle) = (column == 0, column == (latents.len() - 1) / 2);
-                let [x, y] = self.scales(&panel, studies);
-                let predicted = format!("predicted ({})", self.unit);
-                panel.left_axis(page, &y, first.then_some(predicted.as_str()));
-                let reference = if middle { format!("reference ({})", self.unit) } else { String::new() };
-                panel.bottom_axis(page, &x, (row == 1).then_some(reference.as_str()));
-                study.render(page, &panel, *latent, [&x, &y]);
-            }
+/// The rows of panels, and the rows of the CSV file.
+fn rows<'a>(runs: &Runs<'a>, condition: &str) -> Result<(Vec<Row<'a>>, DataFrame), FigureError> {
+    let all = runs.query_first_seeds(&format!(
+        "select scenario, modality, latent, index, episode, sample, reference, predicted from predictions \
+         where task = 'prediction' and latent is not null {condition} \
+         order by scenario, modality, latent, index, episode, sample"
+    ))?;
+    let (scenarios, modalities) = (texts(&all, "scenario")?, texts(&all, "modality")?);
+    let (latents, indices) = (integers(&all, "latent")?, integers(&all, "index")?);
+    let (references, predicted) = (reals(&all, "reference")?, reals(&all, "predicted")?);
+    let mut groups: BTreeMap<(&str, &str), ByElement<Vec<usize>>> = BTreeMap::new();
+    for row in 0..all.height() {
+        let group = groups.entry((scenarios[row].as_str(), modalities[row].as_str())).or_default();
+        group.entry((latents[row], indices[row])).or_default().push(row);
+    }
+    let (mut rows, mut chosen, mut scores, mut units) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for ((scenario, modality), by_element) in &groups {
+        let mut of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == *scenario);
+        let layout = of_scenario.next().map_or(runs.layout(), |run| &run.record.layout);
+        let Some(definition) = layout.modalities.iter().find(|other| other.name.name() == *modality) else {
+            continue;
+        };
+        let (elements, r2) = (ends(definition), r2(runs, scenario, modality)?);
+        let mut points = BTreeMap::new();
+        for (key, places) in by_element.iter().filter(|((_, index), _)| elements.contains(&(*index as usize)))
+        {
+            let places = evenly(places);
+            let pair = |row: &usize| Some([references[*row]?, predicted[*row]?]);
+            points.insert(*key, places.iter().filter_map(pair).collect::<Vec<_>>());
+            scores.resize(scores.len() + places.len(), r2.get(key).copied());
+            units.resize(units.len() + places.len(), definition.elements()[key.1 as usize].unit.clone());
+            chosen.extend(places.into_iter().map(|row| row as IdxSize));
         }
+        let mut latents: Vec<i64> = points.keys().map(|(latent, _)| *latent).collect();
+        latents.dedup();
+        let (scenario, input) = ((*scenario).to_owned(), runs.input());
+        rows.push(Row { definition, scenario, input, elements, latents, points, r2 });
     }
+    let mut data = all.take(&IdxCa::from_vec("row".into(), chosen))?;
+    data.with_column(Column::new("experiment".into(), vec![runs.experiment.as_str(); data.height()]))?;
+    data.with_column(Column::new("unit".into(), units))?;
+    let end =
+        |end: fn(&Interval) -> Option<f64>| scores.iter().map(|r2| end(r2.as_ref()?)).collect::<Vec<_>>();
+    data.with_column(Column::new("r2".into(), end(|r2| Some(r2.mean))))?;
+    data.with_column(Column::new("r2_low".into(), end(|r2| r2.bounds.map(|bounds| bounds.0))))?;
+    data.with_column(Column::new("r2_high".into(), end(|r2| r2.bounds.map(|bounds| bounds.1))))?;
+    Ok((rows, data))
+}
 
-    /// The horizontal and the vertical axis of all panels. They include all references, and all predictions but the
-    /// [`RARE`] part at each end.
-    fn scales(&self, panel: &Panel, studies: &[Predictions; 2]) -> [Scale; 2] {
-        let values = |axis: usize| {
-            let points = studies.iter().flat_map(|study| study.points.values().flatten());
-            let mut values: Vec<f64> = points.map(|at| at[axis]).collect();
+/// The elements that are drawn: at most the last two of the elements at the ends of groups, which have one unit.
+fn ends(definition: &Definition) -> Vec<usize> {
+    let last = definition.last_elements();
+    let last = last[last.len().saturating_sub(LOOKS.len())..].to_vec();
+    let first = last.first().copied().into_iter().collect();
+    if definition.unit_of(&last).is_some() { last } else { first }
+}
+
+fn r2(runs: &Runs, scenario: &str, modality: &str) -> Result<ByElement<Interval>, FigureError> {
+    let rows = runs.query(&format!(
+        "select latent, index, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
+         where scenario = '{scenario}' and modality = '{modality}' and task = 'prediction' and metric = 'r2' \
+         and model = 'network' and index is not null and latent is not null"
+    ))?;
+    let (latents, indices) = (integers(&rows, "latent")?, integers(&rows, "index")?);
+    let values = replicated(&rows)?.into_iter().enumerate();
+    Ok(intervals(values.map(|(row, (seed, value))| ((latents[row], indices[row]), seed, value))))
+}
+
+impl Row<'_> {
+    /// The lowest and the highest value of the axes, without rare ones, and the value beyond which they are logarithmic.
+    /// All rows of a modality in a scenario have the same axes.
+    fn axes(&self, all: &[Row]) -> (f64, f64, Option<f64>) {
+        let alike = all
+            .iter()
+            .filter(|row| (&row.scenario, row.definition.name) == (&self.scenario, self.definition.name));
+        let points: Vec<[f64; 2]> = alike.flat_map(|row| row.points.values().flatten().copied()).collect();
+        let sorted = |values: &mut dyn Iterator<Item = f64>| {
+            let mut values: Vec<f64> = values.collect();
             values.sort_by(f64::total_cmp);
             values
         };
-        let (references, predictions) = (values(0), values(1));
-        let ends = |values: &[f64], rare: f64| {
-            let left_out = (values.len() as f64 * rare) as usize;
-            let kept = values.get(left_out..values.len() - left_out).unwrap_or_default();
-            (kept.iter().copied().fold(0.0, f64::min), kept.iter().copied().fold(0.0, f64::max))
+        let references = sorted(&mut points.iter().map(|point| point[0]));
+        let predictions = sorted(&mut points.iter().map(|point| point[1]));
+        let rare = (predictions.len() as f64 * RARE) as usize;
+        let ends = |values: &[f64]| Some([*values.first()?, *values.last()?]);
+        let kept = ends(predictions.get(rare..predictions.len() - rare).unwrap_or_default());
+        let both = [ends(&references), kept].into_iter().flatten();
+        let [low, high] = both.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
+        let sizes = sorted(&mut references.iter().map(|value| value.abs()).filter(|size| *size > 0.0));
+        let median = sizes.get(sizes.len() / 2).copied();
+        (low, high, median.filter(|median| low.abs().max(high.abs()) > SKEWED * median))
+    }
+
+    /// Draws the row below `top`. The title ends in `more`.
+    fn render(&self, page: &mut Page, top: f64, more: &str, (low, high, linear): (f64, f64, Option<f64>)) {
+        let name = |element: &usize| {
+            let name = self.definition.elements()[*element].name.replace('_', " ");
+            if name.parse::<f64>().is_ok() { format!("element {name}") } else { name }
         };
-        let (low, high) = ends(&references, 0.0);
-        let (low_predicted, high_predicted) = ends(&predictions, RARE);
-        [
-            Scale::symmetric(low, high, self.linear, panel.across()),
-            Scale::symmetric(low_predicted.min(low), high_predicted.max(high), self.linear, panel.upwards()),
-        ]
+        let names: Vec<String> = self.elements.iter().map(name).collect();
+        let entries: Vec<(Look, &str)> = LOOKS.into_iter().zip(names.iter().map(String::as_str)).collect();
+        legend(page, COLUMN / 2.0, top + 10.0, &entries);
+        let title = format!("{}, {}{more}", self.definition.name.name().replace('_', " "), self.scenario);
+        page.text(&title, [LEFT, top], Type::BOLD.start());
+        let unit = self.definition.unit_of(&self.elements).filter(|unit| !unit.is_empty() && *unit != "1");
+        let with_unit = |word: &str| unit.map_or_else(|| word.to_owned(), |unit| format!("{word} ({unit})"));
+        let margin = if high > low { 0.04 * (high - low) } else { 1.0 };
+        let latents = &self.latents[..self.latents.len().min(PANELS)];
+        for (column, latent) in latents.iter().enumerate() {
+            let left = LEFT + column as f64 * (SIDE + GAP);
+            let panel = Panel { left, top: top + 30.0, width: SIDE, height: SIDE };
+            let [x, y] = [panel.across(), panel.upwards()].map(|ends| match linear {
+                Some(linear) => Scale::symmetric(low, high, linear, ends),
+                None => Scale::linear(low - margin, high + margin, 3, ends),
+            });
+            panel.left_axis(page, &y, (column == 0).then(|| with_unit("predicted")).as_deref());
+            let is_middle = column == (latents.len() - 1) / 2;
+            panel.bottom_axis(page, &x, is_middle.then(|| with_unit("reference")).as_deref());
+            page.line([x.at(low), y.at(low)], [x.at(high), y.at(high)], Stroke::new(GRAY, 0.6));
+            self.render_points(page, &panel, [&x, &y], *latent);
+        }
     }
-}
 
-impl Predictions {
-    /// Draws a latent size's points, the line of perfect predictions behind them, and R² above the panel.
-    fn render(&self, page: &mut Page, panel: &Panel, latent: usize, [x, y]: [&Scale; 2]) {
-        let ([left, right], [bottom, top]) = (x.range(), y.range());
-        let perfect = [left.max(bottom), right.min(top)].map(|value| [x.at(value), y.at(value)]);
-        page.line(perfect[0], perfect[1], Stroke::new(GRAY, 0.6));
-        let clouds = Direction::FINGER.map(|direction| {
-            let key = (latent, direction);
-            Some(Cloud { points: self.points.get(&key)?, r2: self.r2.get(&key) })
-        });
-        draw(page, panel, [x, y], &clouds, latent as i64);
+    /// Draws the points of a latent size, their R² above the panel, and the latent size in it.
+    fn render_points(&self, page: &mut Page, panel: &Panel, [x, y]: [&Scale; 2], latent: i64) {
+        for (line, (look, element)) in LOOKS.iter().zip(&self.elements).enumerate() {
+            let key = (latent, *element as i64);
+            let Some(points) = self.points.get(&key) else { continue };
+            let places: Vec<_> = points.iter().map(|[r, p]| [x.at(x.clamp(*r)), y.at(y.clamp(*p))]).collect();
+            page.cloud(look.mark, &places, 1.2, look.color, 0.4);
+            if let Some(r2) = self.r2.get(&key) {
+                let above = LINE * (self.elements.len() - 1 - line) as f64;
+                let at = [panel.left + 3.0, panel.top - 3.0 - above];
+                page.text(&format!("R² {}", mean_words(r2)), at, Type::SMALL.start().color(look.color));
+            }
+        }
+        let size = format!("*z* = {latent}");
+        page.text(&size, [panel.right() - 2.0, panel.bottom() - 3.0], Type::SMALL.end());
     }
-}
-
-/// For each direction, the index of the last joint, which is also the index of the link that it turns.
-fn tips(runs: &Runs) -> [usize; 2] {
-    let definition = &runs.layout()[Modality::PROPRIOCEPTION];
-    Direction::FINGER.map(|direction| direction.elements(definition).last().copied().unwrap_or_default())
-}
-
-fn predictions(runs: &Runs, modality: Modality, panel: &str) -> Result<Predictions, FigureError> {
-    let tips = tips(runs);
-    let place = format!(
-        "scenario = '{}' and task = 'prediction' and modality = '{modality}' and index in ({}, {})",
-        Scenario::CLUTTERED,
-        tips[0],
-        tips[1]
-    );
-    let rows = runs.query(&format!(
-        "select latent, index, dataset_seed, value from metrics join runs using (experiment, run, scenario, latent) \
-         where {place} and metric = 'r2' and model = 'network'"
-    ))?;
-    let direction = |index: i64| Direction::FINGER[usize::from(index as usize == tips[1])];
-    let key = |latent: i64, index: i64| (latent as usize, direction(index));
-    let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);
-    let values = replicated(&rows)?.into_iter().enumerate();
-    let r2 = intervals(values.map(|(row, (seed, value))| (key(latents[row], links[row]), seed, value)));
-
-    let rows = runs.query_first_seeds(&format!(
-        "select latent, index, episode, sample, reference, predicted from predictions \
-         where {place} order by latent, index, episode, sample"
-    ))?;
-    let mut groups: BTreeMap<(usize, Direction), Vec<usize>> = BTreeMap::new();
-    let (latents, links) = (integers(&rows, "latent")?, integers(&rows, "index")?);
-    for row in 0..rows.height() {
-        groups.entry(key(latents[row], links[row])).or_default().push(row);
-    }
-    groups.values_mut().for_each(|rows| *rows = evenly(rows));
-    let (references, predicted) = (reals(&rows, "reference")?, reals(&rows, "predicted")?);
-    let pair = |row: &usize| Some([references[*row]?, predicted[*row]?]);
-    let points = groups.iter().map(|(key, rows)| (*key, rows.iter().filter_map(pair).collect())).collect();
-
-    let chosen: Vec<u32> = groups.values().flatten().map(|row| *row as u32).collect();
-    let mut data = rows.take(&IdxCa::from_vec("row".into(), chosen))?;
-    let count = data.height();
-    let interval = |row: usize| {
-        let rows = (data.column("latent"), data.column("index"));
-        let (latent, index) = (
-            rows.0.ok()?.get(row).ok()?.try_extract::<i64>().ok()?,
-            rows.1.ok()?.get(row).ok()?.try_extract::<i64>().ok()?,
-        );
-        r2.get(&key(latent, index)).copied()
-    };
-    let found: Vec<Option<Interval>> = (0..count).map(interval).collect();
-    let of = |value: fn(&Interval) -> Option<f64>| {
-        found.iter().map(|found| found.as_ref().and_then(value)).collect::<Vec<_>>()
-    };
-    let directions: Vec<&str> =
-        groups.iter().flat_map(|((_, direction), rows)| vec![direction.name(); rows.len()]).collect();
-    let unit = if modality == Modality::PROPRIOCEPTION { "rad" } else { "N" };
-    let more = [
-        Column::new("r2".into(), of(|r2| Some(r2.mean))),
-        Column::new("r2_low".into(), of(|r2| r2.bounds.map(|bounds| bounds.0))),
-        Column::new("r2_high".into(), of(|r2| r2.bounds.map(|bounds| bounds.1))),
-        Column::new("direction".into(), directions),
-        Column::new("panel".into(), vec![panel; count]),
-        Column::new("experiment".into(), vec![runs.experiment.as_str(); count]),
-        Column::new("modality".into(), vec![modality.name(); count]),
-        Column::new("unit".into(), vec![unit; count]),
-    ];
-    for column in more {
-        data.with_column(column)?;
-    }
-    let data = data.select([
-        "panel",
-        "experiment",
-        "modality",
-        "unit",
-        "latent",
-        "direction",
-        "index",
-        "episode",
-        "sample",
-        "reference",
-        "predicted",
-        "r2",
-        "r2_low",
-        "r2_high",
-    ])?;
-    let mut latents: Vec<usize> = groups.keys().map(|(latent, _)| *latent).collect();
-    latents.dedup();
-    Ok(Predictions { input: runs.input(), latents, points, r2, data })
 }
