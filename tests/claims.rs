@@ -994,7 +994,7 @@ fn any_runs_can_stand_for_a_role() {
     }
 }
 
-/// The report has the same matrix, the same choices, and the figure.
+/// The report has the same matrix and the same choices.
 fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
     let out = results.join("report.html");
     let mut command = harness(results, &["report", "--output", out.to_str().unwrap()]);
@@ -1021,52 +1021,6 @@ fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
     let said = format!("{} of {} verdicts are the same", matrix.rows.len() - changed, matrix.rows.len());
     assert!(part.contains(&said), "{said}");
     assert!(part.contains("<li>what the action is: the setpoint itself: does not hold, "));
-    assert!(part.contains("<figure id=\"figure-readings\">\n<div class=\"paper\"><svg "));
-}
-
-#[test]
-fn the_figure_of_readings_shows_what_vision_adds_under_each() {
-    let folder = tempfile::tempdir().unwrap();
-    let registry = Registry::new(folder.path());
-    let settings = ["seeds=[0]", "vary={simulation.seed: [0, 1]}"];
-    write_with(&registry, "readings", &settings, |spec| match (spec.reading(), spec.role()) {
-        (Some("target"), Some("multi_to_multi")) => Opposite,
-        _ => Same,
-    });
-    let out = folder.path().join("figures");
-    succeed(folder.path(), &["figures", "readings", "--output", out.to_str().unwrap()]);
-    let csv = std::fs::read_to_string(out.join("readings.csv")).unwrap();
-    let mut lines = csv.lines();
-    assert_eq!(lines.next(), Some("modality,metric,scenario,reading,datasets,mean,low,high"));
-    let mean = |line: &str| line.split(',').nth(5).unwrap().parse::<f64>().unwrap();
-    let mut rows = 0;
-    for line in lines {
-        // The errors of `errors` and `outcome`: 0.7 without vision, and 0.2 (empty) or 0.3 (cluttered) with it. In the
-        // opposite tables: 0.3, and 0.8 or 0.7. Noise is below 0.005. Errors of angles are multiplied by 0.4.
-        let (force, target) = (line.starts_with("contact_force"), line.contains(",target,"));
-        let expected = match (force, target, line.contains(",empty,")) {
-            (true, false, true) => 0.5,
-            (true, false, false) => 0.4,
-            (true, true, true) => -0.1,
-            (true, true, false) => 0.0,
-            (false, ..) => {
-                assert_eq!(mean(line) < 0.0, target, "{line}");
-                mean(line)
-            }
-        };
-        assert!((mean(line) - expected).abs() < 0.006, "{line}");
-        assert!(line.contains(",2,"), "{line}");
-        rows += 1;
-    }
-    assert_eq!(rows, 2 * 2 * 9);
-    let svg = std::fs::read_to_string(out.join("readings.svg")).unwrap();
-    for words in ["many episodes", "plain sum", "gain in R2, force", "95 % intervals over 2 datasets"] {
-        assert!(svg.contains(words), "{words}");
-    }
-    let without = tempfile::tempdir().unwrap();
-    std::fs::create_dir(without.path().join("runs")).unwrap();
-    let answer = finish(&mut harness(without.path(), &["figures", "readings"]));
-    assert!(answer.stderr.contains("run readings`"), "{}", answer.stderr);
 }
 
 #[test]

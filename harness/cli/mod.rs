@@ -349,7 +349,6 @@ const FIGURES_HELP: &str = "Examples:
   harness figures
   harness figures prediction_results regression --output paper/figures
   harness figures --quick
-  harness figures readings                the gain by vision under each reading
   harness figures propriovision_to_vision --multi multi_to_multi_best
   harness figures --experiment my_robot
   harness figures horizon --experiment memory --of contact_force

@@ -1,5 +1,4 @@
-//! Draws the paper's nine figures, one about the readings of the paper, and one about predictions further ahead, from
-//! the tables of finished runs.
+//! Draws the paper's nine figures, and one about predictions further ahead, from the tables of finished runs.
 //!
 //! Each figure has a file of its own, which makes a [`Drawing`]: a [`page::Page`] and the numbers on it. `simulation`
 //! renders the scenes. The diagrams show the parameters of the networks that `learning` builds. All other numbers come
@@ -19,7 +18,6 @@ mod plot;
 mod prediction_results;
 mod predictive_arch;
 mod propriovision_to_vision;
-mod readings;
 mod reconstruction_performance;
 mod regression;
 mod shown;
@@ -217,8 +215,6 @@ pub enum Figure {
     ReconstructionPerformance,
     /// Predictions over references at the fingertip.
     Regression,
-    /// The gain by vision under each reading of the paper. The paper has no such figure.
-    Readings,
     /// Error and skill over the horizon. The paper has no such figure.
     Horizon,
 }
@@ -268,7 +264,7 @@ pub struct Drawing {
 
 impl Figure {
     /// The paper's figures in the paper's order, then the others.
-    pub const ALL: [Figure; 11] = [
+    pub const ALL: [Figure; 10] = [
         Figure::Task,
         Figure::PredictiveArch,
         Figure::InformationLossArch,
@@ -278,7 +274,6 @@ impl Figure {
         Figure::PropriovisionToVision,
         Figure::ReconstructionPerformance,
         Figure::Regression,
-        Figure::Readings,
         Figure::Horizon,
     ];
 
@@ -297,7 +292,6 @@ impl Figure {
             Figure::PropriovisionToVision => "propriovision_to_vision",
             Figure::ReconstructionPerformance => "reconstruction_performance",
             Figure::Regression => "regression",
-            Figure::Readings => "readings",
             Figure::Horizon => "horizon",
         }
     }
@@ -316,7 +310,6 @@ impl Figure {
                 "reconstruction errors over latent size, single- and multi-modal"
             }
             Figure::Regression => "prediction over reference at the fingertip",
-            Figure::Readings => "what vision adds under each reading of the paper",
             Figure::Horizon => "error and skill of predictions over the horizon",
         }
     }
@@ -342,7 +335,6 @@ impl Figure {
             Figure::PropriovisionToVision => propriovision_to_vision::render(source),
             Figure::ReconstructionPerformance => reconstruction_performance::render(source),
             Figure::Regression => regression::render(source),
-            Figure::Readings => readings::render(source),
             Figure::Horizon => horizon::render(source),
         }
     }
@@ -384,10 +376,6 @@ impl Figure {
             Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {
                 shows: "the paper's scene",
                 instead: "`harness render` draws any world",
-            }),
-            Figure::Readings => Err(FigureError::OnlyPaper {
-                shows: "the readings of the paper",
-                instead: "`harness compare` shows the settings in which runs differ",
             }),
             Figure::PredictiveArch => predictive_arch::render(&source).map(with_remark),
             Figure::InformationLossArch => information_loss_arch::render(&source).map(with_remark),

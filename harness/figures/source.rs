@@ -52,8 +52,6 @@ pub struct Experiments {
     pub single_to_multi: String,
     /// The experiment of [`Study::MultiToMulti`].
     pub multi_to_multi: String,
-    /// The experiment with the readings of the paper. It has runs of both studies.
-    pub readings: String,
     /// The experiment whose runs predict several samples ahead.
     pub horizons: String,
 }
@@ -65,7 +63,6 @@ impl Experiments {
         Self {
             single_to_multi: name(Study::SingleToMulti.name()),
             multi_to_multi: name(Study::MultiToMulti.name()),
-            readings: name("readings"),
             horizons: name("memory"),
         }
     }
@@ -73,7 +70,7 @@ impl Experiments {
     /// One experiment for all figures.
     pub fn all_of(experiment: &str) -> Self {
         let named = || experiment.to_owned();
-        Self { single_to_multi: named(), multi_to_multi: named(), readings: named(), horizons: named() }
+        Self { single_to_multi: named(), multi_to_multi: named(), horizons: named() }
     }
 
     /// The name of a study's experiment.
@@ -91,7 +88,7 @@ impl Experiments {
 
     /// The names of all experiments.
     pub fn all(&self) -> Vec<String> {
-        self.names().into_iter().chain([self.readings.clone(), self.horizons.clone()]).collect()
+        self.names().into_iter().chain([self.horizons.clone()]).collect()
     }
 }
 
@@ -211,27 +208,6 @@ impl<'a> Source<'a> {
         }
         let (experiment, variant) = (experiment.to_owned(), variant.map(str::to_owned));
         Ok(Runs { analysis, experiment, variant, all })
-    }
-
-    /// The rows of a query over the runs of all readings of the paper.
-    ///
-    /// # Errors
-    /// When there are no such runs, runs of one reading differ in settings, or the query fails or has no rows.
-    pub(crate) fn query_readings(&self, sql: &str) -> Result<DataFrame, FigureError> {
-        let experiment = &self.experiments.readings;
-        let runs = self.analysis.runs(experiment);
-        let mut readings: BTreeMap<_, Vec<&Run>> = BTreeMap::new();
-        for run in runs {
-            let spec = &run.record.spec;
-            readings.entry((spec.reading(), spec.role())).or_default().push(run);
-        }
-        readings.values().try_for_each(|runs| self.analysis.check_alike(runs))?;
-        let rows = self.analysis.query(&[experiment], sql)?;
-        match (rows.height(), runs.len()) {
-            (0, 0) => Err(no_runs(self.analysis, experiment)),
-            (0, _) => Err(no_rows(self.analysis, experiment)),
-            _ => Ok(rows),
-        }
     }
 }
 

@@ -1,11 +1,9 @@
 //! Judges the claims under each reading of the paper and lists the choices that change a verdict.
 
 use super::verdicts::class_of;
-use super::{Absent, Asked, Part, ReportError, part, sentence};
+use super::{Absent, Asked, Part, ReportError, sentence};
 use harness_analysis::Analysis;
 use harness_claims::{self as claims, Claim, Contacts, Judgment, MatrixRow};
-use harness_figures::Figure;
-use harness_figures::source::{Experiments, Source};
 use harness_registry::Registry;
 use harness_spec::{Experiment, QUICK, Reading, Scenario};
 use serde::Serialize;
@@ -23,8 +21,6 @@ pub struct Readings {
     notes: Vec<String>,
     /// How often links are touched in the datasets of each reading.
     contacts: Vec<String>,
-    /// The figure of the gain by vision under each reading, as an SVG element.
-    figure: Part<String>,
 }
 
 /// A reading: a choice that differs from the base.
@@ -87,9 +83,6 @@ pub fn of(
     let matrix = readings.judge(claims)?;
     let contacts = claims::contacts(readings.analysis(), &[&spec.name])?;
     let rows: Vec<Row> = matrix.rows.iter().map(|row| Row::new(row, &matrix.readings)).collect();
-    let drawn = Experiments { readings: spec.name.clone(), ..Experiments::of_the_paper(false) };
-    let figure =
-        Figure::Readings.render(&Source::new(readings.analysis(), drawn)).map(|drawing| drawing.page.svg());
     Ok(Part::There(Readings {
         readings: spec.readings.iter().map(Choice::new).collect(),
         same: rows.iter().filter(|row| row.changes.is_empty()).count(),
@@ -97,7 +90,6 @@ pub fn of(
         left_out: matrix.left_out.len(),
         notes: matrix.notes.iter().map(|note| sentence(note)).collect(),
         contacts: contacts.iter().map(Contacts::to_string).collect(),
-        figure: part(figure, asked)?,
     }))
 }
 
