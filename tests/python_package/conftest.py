@@ -49,7 +49,7 @@ def check_example(name: str, inputs: list[str], results: Path) -> None:
     command = [sys.executable, ROOT / f"python/examples/{name}.py", "task.yaml", "1"]
     subprocess.run(command, cwd=results.parent, check=True)
     # The arm hardly moves in a sample, so any model that learned something is better than the mean.
-    errors = task.compare().filter(metric="rmse", modality="arm")
+    errors = task.compare(metrics="rmse", of="arm")
     best = dict(errors.group_by("model").agg(polars.col("mean").min()).iter_rows())
     others = {model: error for model, error in best.items() if model not in ("persistence", "ridge", "training_mean")}
     assert others and min(others.values()) < best["training_mean"], best

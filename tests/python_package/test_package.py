@@ -304,7 +304,7 @@ def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> 
         harness.claims(file=ROOT / "experiments/claims.yaml", reading="best", results=reference)
     one = harness.claims(verdicts["claim"][0], file=ROOT / "experiments/claims.yaml", results=reference)
     assert one["claim"].unique().to_list() == [verdicts["claim"][0]]
-    of = {"experiment": "memory", "modality": "contact_force", "folder": tmp_path, "formats": "csv"}
+    of = {"experiment": "memory", "of": "contact_force", "folder": tmp_path, "formats": "csv"}
     (horizon,) = harness.figures("horizon", results=reference, **of)
     assert horizon.read_text().count("contact_force") > 100
     drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
@@ -322,6 +322,12 @@ def test_plots_and_reports_are_those_of_the_commands(results: Path, tmp_path: Pa
     subprocess.run([*command, "plot", "smoke", *asked, "--output", output], check=True)
     assert made == output
     assert output.read_bytes() == drawn and b"<svg" in drawn
+    for question in ({}, {"metrics": "r2", "horizon": "0.1s", "models": "network"}, {"metrics": "rmse", "against": "ridge"}):
+        options = [word for name, value in question.items() for word in (f"--{name}", value)]
+        said = subprocess.run([*command, "compare", "--format", "csv", *options], check=True, capture_output=True)
+        assert harness.answer(**question, results=results).write_csv().splitlines()[0].encode() == said.stdout.splitlines()[0]
+        means = polars.read_csv(said.stdout)["mean"].to_list()
+        assert harness.answer(**question, results=results)["mean"].to_list() == pytest.approx(means)
     numbers = harness.plot(x="scenario", metrics="wmape", by="experiment", output=tmp_path / "plot.csv", results=results)
     assert set(polars.read_csv(numbers)["modality"]) == {"contact_force"}
 
@@ -543,10 +549,10 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("format", ValueError, "there is no format 'gif'; allowed: svg, png, csv"),
         ("runs", RuntimeError, "regression was not drawn: "),
         ("plot key", ValueError, "there is no key 'latents'; allowed: experiment, scenario, latent"),
-        ("plot metric", ValueError, "no finished run has this metric.*r2 of contact_force"),
+        ("plot metric", ValueError, "there is no metric 'R2'; did you mean 'r2'"),
         ("plot ending", ValueError, r"must end in \.svg, \.png or \.csv"),
         ("plot series", ValueError, "the means differ in modality"),
-        ("plot of nothing", ValueError, "no finished run has this metric.*r2 of contact_force"),
+        ("plot of nothing", ValueError, "no run has these metrics for this task"),
         ("plotted experiment", KeyError, "'nothing' has no finished runs; those that have: smoke"),
         ("reported experiment", KeyError, "'nothing' has no finished runs; those that have: smoke"),
         ("no results", FileNotFoundError, "there are no results in .*; the argument `results` names the folder"),
@@ -720,22 +726,11 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "run": lambda: _harness.run(SMOKE, [], False, results, False, 1, None),
         "query": lambda: _harness.query("select run from runs", results),
         "reserved_names": _harness.reserved_names,
-        "compare": lambda: _harness.compare(["smoke"], [], set(), results),
+        "answer": lambda: _harness.answer(harness._question(["smoke"]), results),
         "claims": lambda: _harness.claims([], ROOT / "experiments/claims.yaml", None, False, [], results),
         "figures": lambda: _harness.figures(["task"], tmp_path, ["svg"], False, *[None] * 5, [], results),
         "plot": lambda: _harness.plot(
-            ["smoke"],
-            "latent",
-            "r2",
-            ["modality"],
-            "scenario",
-            ["network"],
-            "prediction",
-            None,
-            None,
-            [],
-            tmp_path / "plot.svg",
-            results,
+            harness._question(["smoke"], metrics="r2", by="modality"), "latent", "scenario", tmp_path / "plot.svg", results
         ),
         "report": lambda: _harness.report(
             ["smoke"], tmp_path / "report.html", Path("claims"), Path("readings"), False, [], results, False

@@ -478,7 +478,7 @@ def test_a_metric_of_ones_own_is_in_every_table(copy: Path, tmp_path: Path) -> N
     # Nothing else changed, and the files are intact.
     assert harness.query("select * from all_metrics where metric <> 'within' order by all", copy).equals(before)
     assert harness.verify(copy) == []
-    means = task.compare().filter(metric="within", variant="model=last", modality="proprioception")
+    means = task.compare(metrics="within", of="proprioception").filter(variant="model=last")
     assert (means["seeds"].item(), means["unit"].item()) == (2, "%")
     harness.plot("smoke", x="variant", metrics="within", by=["modality"], where={"window.horizon": 5},
                  output=tmp_path / "within.csv", results=copy)
