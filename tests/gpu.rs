@@ -427,6 +427,8 @@ impl Kind {
             },
             arithmetic: arithmetic(precision),
             changes: BTreeMap::new(),
+            hurdles: BTreeMap::new(),
+            distributions: BTreeMap::new(),
         }
     }
 

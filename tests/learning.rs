@@ -24,8 +24,8 @@ use harness_ops::{
 use harness_samples::{Normalizers, Partition, Sample};
 use harness_shared::progress::Progress;
 use harness_spec::{
-    Action, Fusion, Layout, Loss, Memory, Modality, Network, Preset, Scenario, Schedule, Split, Stop, Task,
-    Training, Window, World,
+    Action, Family, Fusion, Layout, Loss, Memory, Modality, Network, Preset, Scenario, Schedule, Split, Stop,
+    Task, Training, Window, World,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, HashMap};
@@ -41,6 +41,8 @@ mod additions;
 mod changes;
 #[path = "common/finger.rs"]
 mod finger;
+#[path = "learning/heads.rs"]
+mod heads;
 #[path = "learning/memory.rs"]
 mod memory;
 #[path = "learning/sets.rs"]
@@ -517,6 +519,8 @@ impl Twin {
                     ..Network::default()
                 },
                 changes: BTreeMap::new(),
+                hurdles: BTreeMap::new(),
+                distributions: BTreeMap::new(),
                 arithmetic,
             },
         }
@@ -688,6 +692,11 @@ impl Bench {
             weight_decay: 1.0,
             clip_norm: Some(0.5),
             dropout: 0.2,
+            distributions: [
+                (Modality::PROPRIOCEPTION, Family::Gaussian),
+                (Modality::CONTACT_FORCE, Family::Hurdle),
+            ]
+            .into(),
             ..bench.training
         };
         bench
@@ -703,7 +712,10 @@ impl Bench {
             network: self.network.clone(),
             arithmetic: Arithmetic::best(),
             changes: BTreeMap::new(),
+            hurdles: BTreeMap::new(),
+            distributions: self.training.distributions.clone(),
         }
+        .scaled(&self.data.normalizers)
     }
 
     /// Describes the trained network.
@@ -1280,6 +1292,8 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
                 network: Network { hidden, channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
                 arithmetic: Arithmetic::best(),
                 changes: BTreeMap::new(),
+                hurdles: BTreeMap::new(),
+                distributions: BTreeMap::new(),
             };
             let mut parameters = Parameters::new();
             architecture.encoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();

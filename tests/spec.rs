@@ -215,7 +215,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
              rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, predict, losses, \
-             loss_weights, dropout, precision, tiles, device",
+             distributions, loss_weights, dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -1436,6 +1436,16 @@ fn settings_of_outputs_are_those_that_training_stores() {
             "spec.yaml:7:36: unknown predict 'delta' in 'outputs.contact_force.predict'. Allowed: value, change",
         ),
         (
+            "outputs: {proprioception: {distribution: hurdle}}\n",
+            "spec.yaml:7:42: 'proprioception' is not bounded by 0, as a hurdle is; set scaling.proprioception.minimum \
+             to 0, or use gaussian",
+        ),
+        (
+            "outputs: {contact_force: {distribution: gaussian, loss: huber}}\n",
+            "spec.yaml:7:57: the loss of 'contact_force' is the score of its distribution (gaussian); leave out one of \
+             them",
+        ),
+        (
             "outputs: {proprioception: {weight: 0}, contact_force: {weight: 0}}\n",
             "spec.yaml:7:10: every output has weight 0, so there is nothing to learn",
         ),
@@ -1664,7 +1674,7 @@ fn a_complete_spec_has_every_setting_with_its_default() {
     for key in spec::setting_names() {
         let parts: Vec<&str> = key.split('.').collect();
         let expected = match parts[..] {
-            ["training", "loss_weights" | "losses" | "predict", name] => {
+            ["training", "loss_weights" | "losses" | "distributions" | "predict", name] => {
                 run.output.iter().any(|output| output.name() == name)
             }
             ["scaling", name, _] => used.iter().any(|modality| modality.name() == name),
@@ -1807,6 +1817,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             stop: *Stop::ALL.choose(random).unwrap(),
             kl_weight: random.random_range(0.0..1e6),
             losses,
+            distributions: Default::default(),
             predict: Default::default(),
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },

@@ -32,8 +32,13 @@ const OF_NETWORKS: [&str; 3] = ["network.", "training.", "tasks"];
 /// The section of a spec that only runs on simulated episodes have.
 const SIMULATION: &str = "simulation.";
 /// The sections of a spec with settings for each modality that a run uses.
-const OF_MODALITIES: [&str; 4] =
-    ["training.loss_weights.", "training.losses.", "training.predict.", "scaling."];
+const OF_MODALITIES: [&str; 5] = [
+    "training.loss_weights.",
+    "training.losses.",
+    "training.distributions.",
+    "training.predict.",
+    "scaling.",
+];
 /// The settings of a spec that have an effect only on images.
 const OF_IMAGES: [&str; 2] = ["network.channels", "network.average"];
 /// The lists of a spec whose order has no meaning.

@@ -141,6 +141,8 @@ fn main() -> anyhow::Result<()> {
         },
         arithmetic: arithmetic(!arguments.no_tiles, arguments.precision),
         changes: Default::default(),
+        hurdles: Default::default(),
+        distributions: Default::default(),
     };
     let batch = arguments.batch;
     if !batch.is_multiple_of(arguments.context) {

@@ -17,7 +17,7 @@ use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
 use harness::samples::FramePlace;
 use harness::shard::Shard;
 use harness::simulation::Scene;
-use harness::spec::{self, Experiment, Explained, Sourced};
+use harness::spec::{self, Experiment, Explained, Sourced, Trained};
 use std::collections::{BTreeSet, HashMap};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -395,7 +395,9 @@ fn error_words(error: f64) -> String {
 fn comparable<'p, 'a>(plan: &'p [&'a Planned]) -> impl Iterator<Item = &'p [&'a Planned]> {
     let measured = |planned: &'a Planned| {
         let spec = &planned.spec;
-        let losses = spec.trained().map(|trained| (&trained.training.losses, &trained.training.predict));
+        let losses = spec
+            .trained()
+            .map(|Trained { training, .. }| (&training.losses, &training.distributions, &training.predict));
         (&spec.simulation, &spec.split, &spec.output, &spec.scaling, losses)
     };
     let scenarios = plan.chunk_by(|a, b| a.spec.scenario == b.spec.scenario);

@@ -576,9 +576,8 @@ impl TrainingRun<'_> {
         let task = Task::Prediction;
         let mut parameters = Parameters::new();
         let mut random = Random::new(spec.seed, Stream::Parameters(task));
-        let changes = data.normalizers.change_ratios();
         let architecture =
-            Architecture { changes, ..architecture(spec, self.trained, data.samples.layout(), task) };
+            architecture(spec, self.trained, data.samples.layout(), task).scaled(&data.normalizers);
         let network = architecture.network(&mut parameters, &mut random, &data.device);
         let objective = Prediction {
             data,

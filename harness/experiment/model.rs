@@ -113,7 +113,7 @@ impl Model {
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
         let (folder, record, trained) = without_memory(finished(registry, wanted)?)?;
         let task = Task::Prediction;
-        let architecture = applied(&record, &trained, task);
+        let architecture = applied(&record, &trained, task).scaled(&normalizers(&folder.checkpoint(task))?);
         let mut parameters = Parameters::new();
         let mut random = Random::new(record.spec.seed, Stream::Parameters(task));
         let encoder = architecture.encoder(&mut parameters, &mut random, &Device::Cpu);

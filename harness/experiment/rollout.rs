@@ -6,7 +6,7 @@ use harness_dataset::{AnyDataset, DatasetError};
 use harness_judge::{BATCH, JudgeError, Predictor};
 use harness_learning::LearningError;
 use harness_learning::data::NormalizedData;
-use harness_learning::network::{Architecture, Parameters};
+use harness_learning::network::Parameters;
 use harness_learning::predict::TrainedNetwork;
 use harness_learning::random::{Random, Stream};
 use harness_registry::{Registry, RunRecord};
@@ -115,8 +115,7 @@ pub fn rollout(
     let mut parameters = Parameters::new();
     let mut random = Random::new(spec.seed, Stream::Parameters(task));
     let path = folder.checkpoint(task);
-    let changes = normalizers(&path)?.change_ratios();
-    let architecture = Architecture { changes, ..applied(&record, &trained, task) };
+    let architecture = applied(&record, &trained, task).scaled(&normalizers(&path)?);
     let network = architecture.network(&mut parameters, &mut random, &Device::Cpu);
     let network = network.map_err(|error| ModelError::from(LearningError::from(error)))?;
     let normalizers = load_network(&path, &parameters)?;

@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 pub mod data;
+pub mod marginal;
 pub mod memory;
 pub mod network;
 pub mod objective;

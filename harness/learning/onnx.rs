@@ -7,12 +7,13 @@
 use crate::LearningError;
 use crate::network::description::{
     ACTION, ActionTaken, Activation, Convolution, Description, ENCODED, IMAGES, LATENT, Layer, MEMORY,
-    Operation, Output, POSTERIOR, PRIOR, Quantity, SEEN, Scale, VECTORS,
+    Operation, Output, POSTERIOR, PRIOR, Predicted, Quantity, SEEN, Scale, VECTORS,
 };
 use crate::tensors::TensorFile;
 use harness_spec::{Element, Kind, Task};
 use prost::Message;
 use proto::{Attribute, Graph, Model, Node, Property, Tensor, ValueInfo};
+use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Version of the file format (ONNX 1.12), which has the operators of [`OPERATORS`].
 const FILE: i64 = 8;
@@ -441,22 +442,20 @@ impl Writer<'_> {
 
     /// Converts a modality that the decoder has computed to SI units, and declares it as an output.
     fn output(&mut self, prefix: &str, output: &Output) -> Result<(), LearningError> {
-        let Output { quantity, change, minimum, .. } = output;
+        let Output { quantity, change, minimum, distribution, .. } = output;
         let name = format!("{prefix}.{}", quantity.name);
         let shape = inner_shape(quantity);
-        let start = self.numbers(format!("{name}.start"), &[quantity.start]);
-        let end = self.numbers(format!("{name}.end"), &[quantity.start + shape[0]]);
-        let axis = self.numbers(format!("{name}.axis"), &[1]);
-        let from = in_part("decoder", quantity.value);
-        let mut value =
-            self.node("Slice", &[from, start, end, axis], format!("{name}.normalized"), Vec::new());
+        let mut value = self.columns(format!("{name}.normalized"), quantity.value, quantity.start, shape[0]);
         let (base, deviation) = match change {
             Some(change) => (present(output), change),
             None => (self.tensor(&quantity.scale.mean, Some(&shape))?, &quantity.scale.deviation),
         };
         let deviation = self.tensor(deviation, None)?;
-        value = self.node("Mul", &[value, deviation], format!("{name}.scaled"), Vec::new());
+        value = self.node("Mul", &[&value, &deviation], format!("{name}.scaled"), Vec::new());
         value = self.node("Add", &[value, base], format!("{name}.shifted"), Vec::new());
+        if let Some(distribution) = distribution {
+            value = self.distribution(&name, output, distribution, [value, deviation])?;
+        }
         if let Some(minimum) = minimum {
             let minimum = self.number(format!("{name}.minimum"), *minimum as f32);
             value = self.node("Max", &[value, minimum], format!("{name}.bounded"), Vec::new());
@@ -468,6 +467,77 @@ impl Writer<'_> {
         self.node(operator, &[value], name.clone(), attributes);
         self.graph.outputs.push(ValueInfo::batch(&name, proto::FLOAT, &quantity.shape, told(quantity)));
         Ok(())
+    }
+
+    /// Adds a node that takes columns or channels of a value of the decoder.
+    fn columns(&mut self, name: String, value: &str, start: usize, count: usize) -> String {
+        let start_and_end = [("start", start), ("end", start + count)]
+            .map(|(end, at)| self.numbers(format!("{name}.{end}"), &[at]));
+        let axis = self.numbers(format!("{name}.axis"), &[1]);
+        let [start, end] = start_and_end;
+        self.node("Slice", &[in_part("decoder", value), start, end, axis], name, Vec::new())
+    }
+
+    /// Declares the parameters of a distribution as outputs, and returns the value of the mean. `value` is the value of
+    /// the columns of the mean in SI units, which are those of the location for a hurdle, and `deviation` is their unit.
+    fn distribution(
+        &mut self,
+        name: &str,
+        output: &Output,
+        distribution: &Predicted,
+        [value, deviation]: [String; 2],
+    ) -> Result<String, LearningError> {
+        let (quantity, width) = (&output.quantity, output.quantity.shape[0]);
+        let declare = |graph: &mut Self, part: &str, told: &str| {
+            let told = format!("{}: {told}", quantity.meaning);
+            graph.graph.outputs.push(ValueInfo::batch(
+                &format!("{name}.{part}"),
+                proto::FLOAT,
+                &[width],
+                told,
+            ));
+        };
+        let node = |graph: &mut Self, operator: &str, inputs: &[&str], part: &str| {
+            graph.node(operator, inputs, format!("{name}.{part}"), Vec::new())
+        };
+        let raw = self.columns(format!("{name}.scale.raw"), quantity.value, distribution.start, width);
+        let least = self.number(format!("{name}.scale.least"), distribution.least_scale as f32);
+        let positive = node(self, "Softplus", &[&raw], "scale.positive");
+        let normalized = node(self, "Add", &[&positive, &least], "scale.normalized");
+        let scale = node(self, "Mul", &[&normalized, &deviation], "scale");
+        declare(self, "scale", "the standard deviation, before values below the minimum are set to it");
+        let Some(threshold) = distribution.threshold else { return Ok(value) };
+        let logits =
+            self.columns(format!("{name}.logits"), quantity.value, distribution.start + width, width);
+        let touches = node(self, "Sigmoid", &[&logits], "touch");
+        declare(self, "touch", "the probability of a contact");
+        let threshold = self.number(format!("{name}.threshold"), threshold);
+        let above = node(self, "Sub", &[&value, &threshold], "above.raw");
+        let above = node(self, "Div", &[&above, &deviation], "above.normalized");
+        let above = node(self, "Softplus", &[&above], "above.positive");
+        let above = node(self, "Mul", &[&above, &deviation], "above");
+        let location = node(self, "Add", &[&above, &threshold], "location");
+        declare(
+            self,
+            "location",
+            "given a contact, the mean of a Gaussian of which the values above 0.05 N are left",
+        );
+        // The mean given a contact is the location, plus the scale times the ratio of density and probability.
+        let [half, root, two] = [("half", -0.5), ("root", FRAC_1_SQRT_2), ("two", (2.0 / PI).sqrt())]
+            .map(|(part, number)| self.number(format!("{name}.{part}"), number as f32));
+        let one = self.number(format!("{name}.one"), 1.0);
+        let place = node(self, "Div", &[&above, &scale], "place");
+        let exponent = node(self, "Mul", &[&place, &place], "exponent.square");
+        let exponent = node(self, "Mul", &[&exponent, &half], "exponent");
+        let density = node(self, "Exp", &[&exponent], "density.raw");
+        let density = node(self, "Mul", &[&density, &two], "density");
+        let left = node(self, "Mul", &[&place, &root], "left.place");
+        let left = node(self, "Erf", &[&left], "left.central");
+        let left = node(self, "Add", &[&left, &one], "left");
+        let ratio = node(self, "Div", &[&density, &left], "ratio");
+        let shift = node(self, "Mul", &[&ratio, &scale], "shift");
+        let given_contact = node(self, "Add", &[&location, &shift], "given_contact");
+        Ok(node(self, "Mul", &[&touches, &given_contact], "mean"))
     }
 
     /// Adds the layers of the encoder or the decoder.

@@ -2,7 +2,8 @@
 
 use super::LearningError;
 use super::data::NormalizedData;
-use super::network::{Decoded, Decoder, Draw, Network, State, context};
+use super::marginal::Marginals;
+use super::network::{Decoded, Decoder, Draw, Network, Spread, Spreads, State, context};
 use super::random::{Random, Stream};
 use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
@@ -208,7 +209,8 @@ pub struct TrainedNetwork<'a> {
     /// How many samples it sees and predicts.
     pub window: &'a Window,
     /// Number of latent states that are drawn for each window. The distribution of the vectors is what the decoder
-    /// says for each. 0 for a prediction from the mean of the latent state alone.
+    /// says for each: a value, or one that is drawn from the distribution that it predicts. 0 for a prediction from the
+    /// mean of the latent state alone.
     pub draws: usize,
     /// Seed of these latent states.
     pub seed: u64,
@@ -229,6 +231,8 @@ impl TrainedNetwork<'_> {
         let mut members = Drawn::new();
         // The stream of each sample, the latest draw, and its noise, which a sample may need several times.
         let streams = RefCell::new(BTreeMap::<Sample, (Random, Option<usize>, Vec<f32>)>::new());
+        let of_sample = |sample: &Sample| Random::new(self.seed, Stream::Members(sample.index()));
+        let mut generators: Vec<Random> = at.iter().map(of_sample).collect();
         for draw in 0..self.draws {
             let noise = |now: &[Sample]| {
                 let mut streams = streams.borrow_mut();
@@ -244,8 +248,12 @@ impl TrainedNetwork<'_> {
                 input(Values::F32(noise), (now.len(), latent), &self.data.device).map(Draw::Noise)
             };
             let (state, _) = encoded.present(&noise).map_err(failed)?;
-            self.each_horizon(state, at, &mut |horizon, decoded| {
-                for (modality, values) in self.values(&vectors, &decoded, at).map_err(failed)? {
+            self.each_horizon(state, at, &mut |horizon, decoded, spreads| {
+                let marginals = self.marginals(&decoded, &spreads, at).map_err(failed)?;
+                for (modality, mut values) in self.values(&vectors, &decoded, at).map_err(failed)? {
+                    if let Some(marginals) = marginals.get(&modality) {
+                        values = marginals.draw(&mut generators);
+                    }
                     let all = members.entry((modality, horizon));
                     let all = all.or_insert_with(|| vec![0.0; values.len() * self.draws]);
                     let places = all.iter_mut().skip(draw).step_by(self.draws);
@@ -269,12 +277,28 @@ impl TrainedNetwork<'_> {
         predicted(normalizers, output, decoded, |modality| physical(samples, modality, at))
     }
 
+    /// Returns the predicted distributions by modality.
+    fn marginals(
+        &self,
+        decoded: &Decoded,
+        spreads: &Spreads,
+        at: &[Sample],
+    ) -> Result<BTreeMap<Modality, Marginals>> {
+        let NormalizedData { samples, normalizers, .. } = self.data;
+        let of = |(modality, spread): (&Modality, &Spread)| {
+            let means =
+                unbounded(normalizers, *modality, decoded, |modality| physical(samples, modality, at))?;
+            Ok((*modality, Marginals::new(normalizers, *modality, means, spread)?))
+        };
+        spreads.iter().map(of).collect()
+    }
+
     /// Passes on what the network predicts at each judged horizon from the state at the present samples `at`.
     fn each_horizon(
         &self,
         mut state: State,
         at: &[Sample],
-        receive: &mut dyn FnMut(usize, Decoded) -> std::result::Result<(), JudgeError>,
+        receive: &mut dyn FnMut(usize, Decoded, Spreads) -> std::result::Result<(), JudgeError>,
     ) -> std::result::Result<(), JudgeError> {
         let horizons = self.window.horizons();
         for horizon in 1..=self.window.horizon {
@@ -282,7 +306,8 @@ impl TrainedNetwork<'_> {
             let next = || self.network.act(&state, &self.data.actions(&now)?);
             state = next().map_err(failed)?;
             if horizons.contains(&horizon) {
-                receive(horizon, self.network.decode(&state).map_err(failed)?)?;
+                let decoded = self.network.decode(&state).map_err(failed)?;
+                receive(horizon, decoded, self.network.spreads(&state).map_err(failed)?)?;
             }
         }
         Ok(())
@@ -317,8 +342,22 @@ impl Predictor for TrainedNetwork<'_> {
         let (state, _) = encoded.present(&|_| Ok(Draw::Mean)).map_err(failed)?;
         let latent = state.latent.dim(1).map_err(failed)?;
         let mut drawn = self.drawn(&encoded, at, latent)?;
-        self.each_horizon(state, at, &mut |horizon, decoded| {
-            pass_on(self.values(self.output, &decoded, at), horizon, (&mut drawn, self.draws), receive)
+        self.each_horizon(state, at, &mut |horizon, decoded, spreads| {
+            let marginals = self.marginals(&decoded, &spreads, at).map_err(failed)?;
+            for (modality, mut values) in self.values(self.output, &decoded, at).map_err(failed)? {
+                let mut ensemble = None;
+                if let Some(members) = drawn.remove(&(modality, horizon)) {
+                    let drawn = ensemble.insert(Ensemble::new(Members::Draws, self.draws, members)?);
+                    values = drawn.means();
+                } else if let Some(marginals) = marginals.get(&modality) {
+                    let quantiles = ensemble.insert(marginals.ensemble()?);
+                    if marginals.raise_means() {
+                        values = quantiles.means();
+                    }
+                }
+                receive(&Predicted { modality, horizon, values, ensemble })?;
+            }
+            Ok(())
         })
     }
 }
@@ -343,27 +382,14 @@ impl Predictor for TrainedDecoder<'_> {
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let decoded = self.latents.rows(at).and_then(|latent| self.decoder.decode(&latent, None));
         let values = decoded.and_then(|decoded| denormalized(&self.data.normalizers, self.output, &decoded));
-        pass_on(values, 0, (&mut Drawn::new(), 0), receive)
+        values.map_err(failed)?.into_iter().try_for_each(|(modality, values)| {
+            receive(&Predicted { modality, horizon: 0, values, ensemble: None })
+        })
     }
 }
 
 /// Values that follow from drawn latent states, by modality and horizon, `[windows, width, draws]`.
 type Drawn = BTreeMap<(Modality, usize), Vec<f32>>;
-
-/// Passes the values of each modality to `receive`, with their distribution if it was drawn.
-fn pass_on(
-    values: Result<Vec<(Modality, Vec<f32>)>>,
-    horizon: usize,
-    (drawn, draws): (&mut Drawn, usize),
-    receive: &mut Receive,
-) -> std::result::Result<(), JudgeError> {
-    values.map_err(failed)?.into_iter().try_for_each(|(modality, values)| {
-        let members = drawn.remove(&(modality, horizon));
-        let ensemble = members.map(|members| Ensemble::new(Members::Draws, draws, members)).transpose()?;
-        let values = ensemble.as_ref().map_or(values, Ensemble::means);
-        receive(&Predicted { modality, horizon, values, ensemble })
-    })
-}
 
 /// Returns what a network predicts of each modality in `output` in physical units, `[batch, width]`; images channel by
 /// channel. `present` returns the values of a modality at the present samples, to which predicted changes are added.
@@ -374,19 +400,26 @@ pub fn predicted(
     present: impl Fn(Modality) -> Vec<f32>,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
     let physical = |&modality: &Modality| {
-        let scale = &normalizers.modalities[&modality];
-        let Some(change) = normalizers.changes.get(&modality) else {
-            return Ok((modality, in_units(decoded, modality, scale)?));
-        };
-        let mut values = present(modality);
-        values
-            .iter_mut()
-            .zip(in_units(decoded, modality, change)?)
-            .for_each(|(value, change)| *value += change);
-        scale.bound(&mut values);
+        let mut values = unbounded(normalizers, modality, decoded, &present)?;
+        normalizers.modalities[&modality].bound(&mut values);
         Ok((modality, values))
     };
     output.iter().map(physical).collect()
+}
+
+/// Returns what a network predicts of a modality as [`predicted`] does, also below its minimum.
+fn unbounded(
+    normalizers: &Normalizers,
+    modality: Modality,
+    decoded: &Decoded,
+    present: impl Fn(Modality) -> Vec<f32>,
+) -> Result<Vec<f32>> {
+    let Some(change) = normalizers.changes.get(&modality) else {
+        return in_units(decoded, modality, &normalizers.modalities[&modality]);
+    };
+    let (mut values, changes) = (present(modality), in_units(decoded, modality, change)?);
+    values.iter_mut().zip(changes).for_each(|(value, change)| *value += change);
+    Ok(values)
 }
 
 /// Returns the values of each modality in `output` in physical units, `[batch, width]`; images channel by channel.
@@ -396,17 +429,20 @@ pub fn denormalized(
     decoded: &Decoded,
 ) -> Result<Vec<(Modality, Vec<f32>)>> {
     let physical = |&modality: &Modality| {
-        Ok((modality, in_units(decoded, modality, &normalizers.modalities[&modality])?))
+        let scale = &normalizers.modalities[&modality];
+        let mut values = in_units(decoded, modality, scale)?;
+        scale.bound(&mut values);
+        Ok((modality, values))
     };
     output.iter().map(physical).collect()
 }
 
-/// Returns the decoded values of a modality in the units of a normalizer.
+/// Returns the decoded values of a modality in the units of a normalizer, also below its minimum.
 fn in_units(decoded: &Decoded, modality: Modality, scale: &Normalizer) -> Result<Vec<f32>> {
     let Some(values) = decoded.get(&modality) else {
         candle_core::bail!("the decoder has no output for '{modality}'");
     };
     let mut values = values.flatten_all()?.to_vec1()?;
-    scale.denormalize(&mut values);
+    scale.denormalize_unbounded(&mut values);
     Ok(values)
 }

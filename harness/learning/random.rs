@@ -20,6 +20,8 @@ pub enum Stream {
     },
     /// Latent states that are drawn for the present sample with this index in its dataset.
     Draws(usize),
+    /// Values that are drawn from distributions predicted from the present sample with this index in its dataset.
+    Members(usize),
 }
 
 /// A generator for one purpose of a run. Its numbers depend only on the seed and the stream.
@@ -38,6 +40,7 @@ impl Random {
             Stream::Parameters(task) => block(task),
             Stream::Epoch { task, index } => block(task) + 1 + index as u64,
             Stream::Draws(sample) => (1 << 33) + sample as u64,
+            Stream::Members(sample) => (1 << 34) + sample as u64,
         });
         Self(generator)
     }

@@ -67,12 +67,24 @@ impl Normalizer {
     /// Converts normalized `values` `[n, width]` to physical units in place. Values below the minimum are set to the
     /// minimum.
     pub fn denormalize(&self, values: &mut [f32]) {
+        self.denormalize_unbounded(values);
+        self.bound(values);
+    }
+
+    /// Converts normalized `values` `[n, width]` to physical units in place, also those below the minimum.
+    pub fn denormalize_unbounded(&self, values: &mut [f32]) {
         for row in values.chunks_exact_mut(self.mean.len()) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
                 *value = *value * self.std(index) + mean;
             }
         }
-        self.bound(values);
+    }
+
+    /// Converts normalized deviations `[n, width]` from a value to physical units in place.
+    pub fn denormalize_deviations(&self, deviations: &mut [f32]) {
+        for row in deviations.chunks_exact_mut(self.mean.len()) {
+            row.iter_mut().enumerate().for_each(|(index, deviation)| *deviation *= self.std(index));
+        }
     }
 
     /// Sets `values` in physical units that are below the minimum to the minimum.

@@ -267,7 +267,7 @@ fn names_in(node: &Node) -> Vec<String> {
 /// outputs of all labels.
 fn leave_out_settings_of(tree: &mut Node, outputs: &BTreeSet<String>) {
     let own = tree.get(OUTPUT).map(names_in).unwrap_or_default();
-    for key in ["outputs", "training.predict", "training.losses", "training.loss_weights"] {
+    for key in outputs::sections() {
         let section = key.split('.').try_fold(&mut *tree, |node, key| node.get_mut(key));
         if let Some(Node { value: Value::Section(entries), .. }) = section {
             entries.retain(|entry| own.contains(&entry.key) || !outputs.contains(&entry.key));
@@ -440,7 +440,7 @@ impl Experiment {
     }
 
     /// Makes specs with the same meaning equal: sorts the modalities, makes the default weights, channels and gap
-    /// explicit, removes squared losses, which are the default, and clears `quick`.
+    /// explicit, removes the other settings of outputs that have their default, and clears `quick`.
     ///
     /// Without images, the settings of convolutions have no effect and are cleared. With variants, the channels and
     /// their default depend on the variant, so this is left to the variants.
@@ -455,6 +455,9 @@ impl Experiment {
         self.training
             .losses
             .retain(|modality, loss| self.output.contains(modality) && *loss != Loss::Squared);
+        self.training
+            .distributions
+            .retain(|modality, family| self.output.contains(modality) && *family != Family::None);
         self.training
             .predict
             .retain(|modality, predict| self.output.contains(modality) && *predict != Predict::Value);

@@ -5,7 +5,18 @@ use harness_layout::Modality;
 use std::collections::BTreeMap;
 
 /// The settings of an output, with the keys under which training stores them.
-const STORED: [(&str, &str); 3] = [("predict", "predict"), ("loss", "losses"), ("weight", "loss_weights")];
+const STORED: [(&str, &str); 4] = [
+    ("predict", "predict"),
+    ("loss", "losses"),
+    ("distribution", "distributions"),
+    ("weight", "loss_weights"),
+];
+
+/// Returns the dotted keys of the sections that hold settings of outputs.
+pub(super) fn sections() -> impl Iterator<Item = String> {
+    let stored = STORED.iter().map(|(_, section)| format!("training.{section}"));
+    std::iter::once("outputs".to_owned()).chain(stored)
+}
 
 /// Writes the settings of outputs to those of training.
 ///
@@ -16,10 +27,11 @@ pub(super) fn store(experiment: &mut Experiment) -> Result<(), (String, String)>
         value.is_none_or(|value| stored.insert(output, value).is_none())
     }
     let Experiment { outputs, training, .. } = experiment;
-    for (&output, &OutputSettings { predict, loss, weight }) in &*outputs {
+    for (&output, &OutputSettings { predict, loss, distribution, weight }) in &*outputs {
         let stored = [
             insert(&mut training.predict, output, predict),
             insert(&mut training.losses, output, loss),
+            insert(&mut training.distributions, output, distribution),
             insert(&mut training.loss_weights, output, weight),
         ];
         if let Some(twice) = stored.iter().position(|is_new| !is_new) {

@@ -3,7 +3,7 @@
 use super::origin::Origin;
 use super::simulation::Simulation;
 use super::stored::stored;
-use super::types::{Action, Network, Split, Task, TestDataset, Training, Window};
+use super::types::{Action, Family, Network, Split, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -259,13 +259,29 @@ impl RunSpec {
         if let Some(Trained { network, training, .. }) = self.trained() {
             check_images(&images, network, training).map_err(|fault| fault.message)?;
             // The modalities of an imported dataset are not known before.
-            if let Some((image, _)) =
-                images.output.iter().find(|(image, _)| training.predict.contains_key(image))
-            {
-                return Err(format!(
-                    "'{image}' is an image, whose change can't be predicted; predict its value"
-                ));
+            for (image, _) in images.output {
+                if training.predict.contains_key(image) {
+                    return Err(format!(
+                        "'{image}' is an image, whose change can't be predicted; predict its value"
+                    ));
+                }
+                if training.distributions.contains_key(image) {
+                    return Err(format!(
+                        "'{image}' is an image, of which no distribution can be predicted; leave it out"
+                    ));
+                }
             }
+        }
+        let scalings = self.scalings(layout);
+        let is_unbounded = |(modality, family): &(&Modality, &Family)| {
+            **family == Family::Hurdle
+                && scalings.get(*modality).is_some_and(|scaling| scaling.minimum != Some(0.0))
+        };
+        let distributions = self.trained().map(|trained| &trained.training.distributions);
+        if let Some((modality, _)) = distributions.into_iter().flatten().find(is_unbounded) {
+            return Err(format!(
+                "'{modality}' is not bounded by 0, as a hurdle is; set scaling.{modality}.minimum to 0, or use gaussian"
+            ));
         }
         let by_element = self.scaling.iter().find(|(modality, scaling)| {
             layout.get(**modality).is_some_and(|definition| definition.is_image())
@@ -305,6 +321,7 @@ impl RunSpec {
                 vectors.iter().map(value).collect()
             }
             all["training"]["losses"] = json!(of(&training.losses, &vectors));
+            all["training"]["distributions"] = json!(of(&training.distributions, &vectors));
             all["training"]["predict"] = json!(of(&training.predict, &vectors));
         }
         all

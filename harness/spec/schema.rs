@@ -223,10 +223,11 @@ pub(super) fn varies(key: &str) -> bool {
 }
 
 /// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
-/// losses, and successive halving sets the last epoch.
+/// losses, nor could those with other distributions, and successive halving sets the last epoch.
 fn draws(key: &str) -> bool {
     const SECTIONS: [&str; 5] = ["input", "outputs", "action", "network", "training"];
-    SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && key != "training.last_epoch"
+    let is_drawn = key != "training.last_epoch" && !key.ends_with(".distribution");
+    SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && is_drawn
 }
 
 /// The distributions of a setting: one of those that suit its type.

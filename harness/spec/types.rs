@@ -192,6 +192,21 @@ pub enum Predict {
 }
 names!(Predict { Value => "value", Change => "change" });
 
+/// The family of the distribution that a network predicts of each value of an output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Family {
+    /// None: it predicts one number.
+    #[default]
+    None,
+    /// A Gaussian, with a mean and a scale. The loss is its CRPS, in normalized units.
+    Gaussian,
+    /// For a force: 0 unless the link touches, with a probability for it, and a Gaussian above the threshold of a
+    /// contact if it does. The loss is the cross-entropy of the contact, plus the CRPS of the force given a contact.
+    Hurdle,
+}
+names!(Family { None => "none", Gaussian => "gaussian", Hurdle => "hurdle" });
+
 /// The settings of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -204,6 +219,11 @@ pub struct OutputSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Loss")]
     pub loss: Option<Loss>,
+    /// The distribution that the network predicts of each value of a vector. The default is `none`. The loss of an
+    /// output with a distribution is the score of the distribution.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Family")]
+    pub distribution: Option<Family>,
     /// Weight of the mean loss. The default is 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "weight_schema")]
@@ -493,6 +513,9 @@ pub struct Training {
     /// Loss of each output, as `outputs.NAME.loss` says.
     #[schemars(schema_with = "losses_schema")]
     pub losses: BTreeMap<Modality, Loss>,
+    /// Distribution of each output, as `outputs.NAME.distribution` says.
+    #[schemars(schema_with = "distributions_schema")]
+    pub distributions: BTreeMap<Modality, Family>,
     /// Weight of the mean loss of each output, as `outputs.NAME.weight` says.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
@@ -687,6 +710,10 @@ fn by_vector(of: Schema) -> Schema {
 
 fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
     by_vector(generator.subschema_for::<Loss>())
+}
+
+fn distributions_schema(generator: &mut SchemaGenerator) -> Schema {
+    by_vector(generator.subschema_for::<Family>())
 }
 
 fn predict_schema(generator: &mut SchemaGenerator) -> Schema {

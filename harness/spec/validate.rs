@@ -6,8 +6,8 @@ use super::schema::is_axis;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::types::{
-    Device, Division, Experiment, Memory, Network, Precision, Predict, Preset, Reading, Settings, Split,
-    Task, Training, WindowStart,
+    Device, Division, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading,
+    Settings, Split, Task, Training, WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
@@ -405,7 +405,7 @@ fn steps(training: &Training) -> Result<(), Fault> {
 /// Checks the settings of outputs.
 fn outputs(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { input, output, outputs, training, .. } = experiment;
-    let Training { predict, losses, loss_weights: weights, .. } = training;
+    let Training { predict, losses, distributions, loss_weights: weights, .. } = training;
     // Where a setting was written.
     let path = |key: &str, stored: &str, modality: &Modality| match outputs.contains_key(modality) {
         true => format!("outputs.{modality}.{key}"),
@@ -414,6 +414,9 @@ fn outputs(experiment: &Experiment) -> Result<(), Fault> {
     let named = weights.keys().map(|modality| (path("weight", "loss_weights", modality), modality));
     let named = named.chain(losses.keys().map(|modality| (path("loss", "losses", modality), modality)));
     let named = named.chain(predict.keys().map(|modality| (path("predict", "predict", modality), modality)));
+    let named = named.chain(
+        distributions.keys().map(|modality| (path("distribution", "distributions", modality), modality)),
+    );
     let empty = outputs.keys().map(|modality| (format!("outputs.{modality}"), modality));
     if let Some((path, modality)) = named.chain(empty).find(|(_, modality)| !output.contains(modality)) {
         return fault(path, format!("'{modality}' is not an output; outputs: {}", list(output)));
@@ -427,6 +430,36 @@ fn outputs(experiment: &Experiment) -> Result<(), Fault> {
             path("loss", "losses", modality),
             format!("'{modality}' is an image, whose errors are squared; leave it out"),
         );
+    }
+    let distributed = || distributions.iter().filter(|(_, family)| **family != Family::None);
+    if let Some((modality, _)) = distributed().find(|(modality, _)| is_image(modality)) {
+        return fault(
+            path("distribution", "distributions", modality),
+            format!("'{modality}' is an image, of which no distribution can be predicted; leave it out"),
+        );
+    }
+    let has_loss = |modality: &Modality| losses.get(modality).is_some_and(|loss| *loss != Loss::Squared);
+    if let Some((modality, family)) = distributed().find(|(modality, _)| has_loss(modality)) {
+        return fault(
+            path("loss", "losses", modality),
+            format!(
+                "the loss of '{modality}' is the score of its distribution ({family}); leave out one of them"
+            ),
+        );
+    }
+    for (modality, _) in distributed().filter(|(_, family)| **family == Family::Hurdle) {
+        let given = experiment.scaling.get(modality).copied().unwrap_or_default();
+        let known = experiment.scenarios.iter().filter_map(|origin| experiment.known(origin, *modality));
+        let problem = if known.map(|known| given.or(known.scaling).minimum).any(|least| least != Some(0.0)) {
+            format!(
+                "is not bounded by 0, as a hurdle is; set scaling.{modality}.minimum to 0, or use gaussian"
+            )
+        } else if predict.get(modality) == Some(&Predict::Change) {
+            "is predicted as a change, but a hurdle is the distribution of a value; use gaussian".to_owned()
+        } else {
+            continue;
+        };
+        return fault(path("distribution", "distributions", modality), format!("'{modality}' {problem}"));
     }
     for (modality, _) in predict.iter().filter(|(_, predict)| **predict == Predict::Change) {
         let problem = if is_image(modality) {

@@ -21,8 +21,9 @@ from torch.nn import functional
 __all__ = ["Network", "NetworkFile", "State"]
 
 Layer = dict[str, Any]
-FORMATS = (1, 2, 3)
-"""The versions of descriptions that this module can read: without and with memory, and with predicted changes."""
+FORMATS = (1, 2, 3, 4)
+"""The versions of descriptions that this module can read: without and with memory, with predicted changes, and with
+distributions."""
 RECONSTRUCTION = "reconstruction."
 """First part of the names of the parameters of the reconstruction's decoder."""
 
@@ -141,7 +142,8 @@ class Network(torch.nn.Module):
                 the setpoint (`increment`) or the next setpoint (`target`).
 
         Returns:
-            The predicted values of the output modalities, by name, in SI units.
+            The predicted values of the output modalities, by name, in SI units. With a distribution, they are its
+            means, and `NAME.scale`, `NAME.touch` and `NAME.location` are its other parameters, as in the ONNX model.
 
         Raises:
             KeyError: a modality is missing, or there is one that the network does not take.
@@ -386,20 +388,29 @@ class Network(torch.nn.Module):
         """Applies a decoder and converts its outputs to SI units."""
         self._check("latent", given["latent"], [description["latent"]], None)
         values = self._run(description["decoder"], given, prefix)
-        return {quantity["name"]: self._physical(quantity, values, present) for quantity in description["outputs"]}
+        found: dict[str, Tensor] = {}
+        for quantity in description["outputs"]:
+            found |= self._physical(quantity, values, present)
+        return found
 
     def _physical(
         self, quantity: dict[str, Any], values: dict[str, Tensor], present: Mapping[str, Tensor]
-    ) -> Tensor:
-        part = values[quantity["value"]].narrow(1, quantity["start"], _shape(quantity)[0])
+    ) -> dict[str, Tensor]:
+        """Returns the values of a quantity, and the other parameters of its distribution if it has one."""
+        name, columns = quantity["name"], values[quantity["value"]]
+        part = columns.narrow(1, quantity["start"], _shape(quantity)[0])
         if "change" in quantity:
-            part = present[quantity["name"]] + part * self.get_buffer(_attribute(quantity["change"]))
+            deviation = self.get_buffer(_attribute(quantity["change"]))
+            part = present[name] + part * deviation
         else:
             mean, deviation = self._scales(quantity, part.shape[1:])
             part = part * deviation + mean
+        others: dict[str, Tensor] = {}
+        if "distribution" in quantity:
+            part, others = _distribution(quantity["distribution"], columns, part, deviation)
         if "minimum" in quantity:
             part = part.clamp(min=quantity["minimum"])
-        return part
+        return {name: part, **{f"{name}.{key}": value for key, value in others.items()}}
 
     def _run(self, layers: list[Layer], values: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
         """Applies layers one after the other, and returns the values with all outputs."""
@@ -442,6 +453,21 @@ class Network(torch.nn.Module):
             case kind:
                 raise ValueError(f"the network has a layer of the kind '{kind}', which this version cannot compute")
         return torch.relu(y) if layer["activation"] == "relu" else y
+
+
+def _distribution(
+    entry: dict[str, Any], columns: Tensor, value: Tensor, deviation: Tensor
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Returns the mean of a distribution in SI units, and its other parameters."""
+    width = value.shape[1]
+    scale = (functional.softplus(columns.narrow(1, entry["start"], width)) + entry["least_scale"]) * deviation
+    if entry["family"] == "gaussian":
+        return value, {"scale": scale}
+    touch = torch.sigmoid(columns.narrow(1, entry["start"] + width, width))
+    above = deviation * functional.softplus((value - entry["threshold"]) / deviation)
+    location, place = entry["threshold"] + above, above / scale
+    ratio = (2 / torch.pi) ** 0.5 * torch.exp(-(place**2) / 2) / (1 + torch.erf(place / 2**0.5))
+    return touch * (location + scale * ratio), {"scale": scale, "touch": touch, "location": location}
 
 
 def _shape(quantity: dict[str, Any]) -> list[int]:

@@ -6,12 +6,16 @@ use harness_learning::network::Network as Predicting;
 use harness_learning::predict::TrainedNetwork;
 use harness_spec::WindowStart;
 
-const BOTH: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::ARM];
-const WINDOW: Window = Window { context: 4, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
-const MEMORIES: [Memory; 4] = [Memory::None, Memory::Window, Memory::Gru, Memory::Rssm];
+pub(super) const BOTH: [Modality; 2] = [Modality::PROPRIOCEPTION, Modality::ARM];
+pub(super) const WINDOW: Window =
+    Window { context: 4, start: WindowStart::Random, horizon: 5, since_s: Vec::new() };
+pub(super) const MEMORIES: [Memory; 4] = [Memory::None, Memory::Window, Memory::Gru, Memory::Rssm];
+
+/// The distributions of a change.
+const FAMILIES: [Family; 2] = [Family::None, Family::Gaussian];
 
 /// Walks of the arm, of which a network with this memory predicts the changes, beside the values of the joint angles.
-fn bench(memory: Memory) -> (Bench, Box<dyn Predicting>, Parameters) {
+pub(super) fn bench(memory: Memory, family: Family) -> (Bench, Box<dyn Predicting>, Parameters) {
     let mut bench = Bench::new();
     let samples = Arc::new(walks(30, 16));
     let partition = samples.partition(&Split::default(), &WINDOW).unwrap();
@@ -22,15 +26,15 @@ fn bench(memory: Memory) -> (Bench, Box<dyn Predicting>, Parameters) {
     bench.data = data.predicting_changes([Modality::ARM].into_iter(), &partition.training, WINDOW.horizon);
     bench.partition = partition;
     bench.network = Network { hidden: vec![16], memory, memory_samples: 3, ..network(16, 2) };
-    let changes = bench.data.normalizers.change_ratios();
-    let architecture =
-        Architecture { input: BOTH.to_vec(), output: BOTH.to_vec(), changes, ..bench.architecture() };
+    let (input, output, distributions) = (BOTH.to_vec(), BOTH.to_vec(), [(Modality::ARM, family)].into());
+    let architecture = Architecture { input, output, distributions, ..bench.architecture() };
+    let architecture = architecture.scaled(&bench.data.normalizers);
     let mut parameters = Parameters::new();
     let network = architecture.network(&mut parameters, &mut random(4), &Device::Cpu).unwrap();
     (bench, network, parameters)
 }
 
-fn trained<'a>(
+pub(super) fn trained<'a>(
     data: &'a NormalizedData,
     network: Box<dyn Predicting>,
     window: &'a Window,
@@ -53,8 +57,8 @@ fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap
 
 #[test]
 fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
-    for memory in MEMORIES {
-        let (bench, network, parameters) = bench(memory);
+    for (memory, family) in MEMORIES.into_iter().flat_map(|memory| FAMILIES.map(|family| (memory, family))) {
+        let (bench, network, parameters) = bench(memory, family);
         for name in ["decoder.vector.weight", "decoder.vector.bias"] {
             parameters[name].set(&parameters[name].zeros_like().unwrap()).unwrap();
         }
@@ -77,7 +81,7 @@ fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
 #[test]
 fn the_loss_is_the_error_of_the_predictions_in_units_of_the_change() {
     for memory in MEMORIES {
-        let (bench, network, _) = bench(memory);
+        let (bench, network, _) = bench(memory, Family::None);
         let (data, horizon) = (&bench.data, WINDOW.horizon);
         let training = Training { batch_size: 8, ..Training::default() };
         let objective =
@@ -109,7 +113,11 @@ fn the_loss_is_the_error_of_the_predictions_in_units_of_the_change() {
 
 #[test]
 fn gradients_reach_back_through_the_changes_that_were_predicted_before() {
-    let (bench, network, parameters) = bench(Memory::None);
+    FAMILIES.into_iter().for_each(gradients_of);
+}
+
+fn gradients_of(family: Family) {
+    let (bench, network, parameters) = bench(Memory::None, family);
     let training = Training::default();
     let objective = Prediction {
         data: &bench.data,

@@ -24,6 +24,8 @@ fn architecture(input: &[Modality], fusion: Fusion) -> Architecture {
         network: Network { hidden: vec![32, 16], channels: Some(vec![2, 5]), fusion, ..network(0, 0) },
         arithmetic: Arithmetic::best(),
         changes: BTreeMap::new(),
+        hurdles: BTreeMap::new(),
+        distributions: BTreeMap::new(),
     }
 }
 

@@ -1,5 +1,6 @@
 """Networks rebuilt from their files, in PyTorch and in ONNX, compared with the harness's own predictions."""
 
+import importlib.util
 import itertools
 import json
 import pickle
@@ -195,10 +196,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Trained:
     """A trained network, observations and actions for it, and what the harness makes of them."""
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name: str, folder: Path, settings: Overrides | None = None) -> None:
         self.name = name
-        whole = {key: value for key, value in KINDS[name].items() if "." not in key}
-        overrides = {key: value for key, value in KINDS[name].items() if "." in key}
+        settings = KINDS[name] if settings is None else settings
+        whole = {key: value for key, value in settings.items() if "." not in key}
+        overrides = {key: value for key, value in settings.items() if "." in key}
         tasks = ["prediction", "reconstruction"]
         spec = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"], **whole, "tasks": tasks}
         self.results = folder / re.sub(r"\W+", "_", name)
@@ -629,6 +631,45 @@ def test_the_numpy_code_in_the_documentation_predicts(folder: Path) -> None:
     names |= {"observation": trained.observation, "action": trained.action}
     exec(code_in_the_documentation("numpy"), names)
     trained.assert_equal(names["predicted"], trained.predicted)
+
+
+DISTRIBUTIONS: Overrides = {
+    "input": ["proprioception", "arm"],
+    "output": ["proprioception", "contact_force"],
+    "outputs": {
+        "proprioception": {"predict": "change", "distribution": "gaussian"},
+        "contact_force": {"distribution": "hurdle"},
+    },
+}
+
+
+def test_every_program_gives_the_same_distributions(folder: Path, tmp_path: Path) -> None:
+    trained = Trained("distributions", folder, DISTRIBUTIONS)
+    description, tensors = read_file(trained.results / "runs" / "smoke" / trained.run / "prediction.safetensors")
+    assert description["format"] == 4
+    names: dict[str, Any] = {"network": description, "tensors": tensors}
+    names |= {"observation": trained.observation, "action": trained.action}
+    exec(code_in_the_documentation("numpy"), names)
+    expected = names["predicted"]
+    trained.assert_equal({name: expected[name] for name in trained.predicted}, trained.predicted)
+    parameters = {"proprioception.scale", *(f"contact_force.{part}" for part in ("scale", "touch", "location"))}
+    assert expected.keys() == parameters | trained.predicted.keys()
+    assert expected["contact_force.location"].min() >= 0.05 and 0 < expected["contact_force.touch"].min() < 1
+    path = tmp_path / "network.onnx"
+    harness.export_onnx(trained.run, path, results=trained.results)
+    onnx.checker.check_model(onnx.load(path), full_check=True)
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    outputs = [f"predicted.{name}" for name in expected]
+    answers = session.run(outputs, {**trained.observation, "action": trained.action})
+    found = [dict(zip(expected, answers, strict=True))]
+    if importlib.util.find_spec("torch"):
+        network = harness.load_network(trained.run, trained.results)
+        predicted = network(trained.observation, trained.action)
+        found.append({name: values.detach().numpy() for name, values in predicted.items()})
+    for program in found:
+        assert program.keys() == expected.keys()
+        for name, values in expected.items():
+            np.testing.assert_allclose(program[name], values, rtol=2e-5, atol=2e-5 * np.abs(values).max(), err_msg=name)
 
 
 def test_the_documented_torch_code_computes_every_layer(folder: Path) -> None:

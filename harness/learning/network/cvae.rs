@@ -1,7 +1,8 @@
 //! The conditional variational auto-encoder as a network. It has no memory: its latent state is that of one sample.
 
 use super::{
-    Decoded, Decoder, Draw, Encoder, Network, Observation, Posterior, Seen, State, Targets, Term, Value,
+    Decoded, Decoder, Draw, Encoder, Network, Observation, Posterior, Seen, Spreads, State, Targets, Term,
+    Value,
 };
 use candle_core::{DType, Device, Result, Tensor};
 use harness_ops::frames::DenseFrames;
@@ -118,6 +119,10 @@ impl Network for Cvae {
             }
         }
         Ok(decoded)
+    }
+
+    fn spreads(&self, state: &State) -> Result<Spreads> {
+        self.decoder.spreads(&state.latent, state.action.as_ref())
     }
 
     fn losses(&self, state: &State, targets: Targets) -> Result<Vec<Term>> {

@@ -1,16 +1,24 @@
 //! Decoders: from a latent state and an action to an observation.
 
 use super::description::{ACTION, LATENT, Layer};
+use super::head::{Head, heads};
 use super::layers::{Builder, FrameOutput, Perceptron};
-use super::{Architecture, Decoded, Decoder, Targets, Term};
+use super::{Architecture, Decoded, Decoder, Spreads, Targets, Term};
 use candle_core::{Result, Tensor};
 use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, frames, vector_losses};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
+use std::collections::BTreeMap;
 
 /// Builds the decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
     let [vectors_of, images_of] = architecture.parts(&architecture.output);
-    let (vector, size) = (architecture.width(&vectors_of), architecture.size(&images_of));
+    let (mut heads, vector) = heads(architecture, &vectors_of);
+    for (modality, head) in &mut heads {
+        if let Some([zero, threshold]) = architecture.hurdles.get(modality) {
+            head.bounds = Some([builder.constant(zero)?, builder.constant(threshold)?]);
+        }
+    }
+    let size = architecture.size(&images_of);
     let channels = images_of.len() * IMAGE_CHANNELS;
     let hidden =
         [&[architecture.latent + architecture.action], architecture.network.hidden.as_slice()].concat();
@@ -39,6 +47,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
     Ok(Box::new(PerceptronDecoder {
         condition: [architecture.latent, architecture.action],
+        heads,
         vectors_of: with_widths(architecture, vectors_of),
         images_of,
         shared,
@@ -59,6 +68,8 @@ struct PerceptronDecoder {
     condition: [usize; 2],
     /// The predicted vectors with their widths. They lie side by side.
     vectors_of: Vec<(Modality, usize)>,
+    /// The vectors of which a distribution is predicted. Their other parameters follow all vectors.
+    heads: BTreeMap<Modality, Head>,
     /// The predicted images. They are stacked by channel.
     images_of: Vec<Modality>,
     /// Hidden layers that vectors and frames share.
@@ -107,7 +118,11 @@ impl Decoder for PerceptronDecoder {
         if let Some(vectors) = self.side_by_side(&hidden)? {
             let mut first = 0;
             for (modality, width) in &self.vectors_of {
-                decoded.insert(*modality, vectors.narrow(1, first, *width)?.contiguous()?);
+                let values = match self.heads.get(modality) {
+                    Some(head) => head.means(&vectors)?,
+                    None => vectors.narrow(1, first, *width)?.contiguous()?,
+                };
+                decoded.insert(*modality, values);
                 first += width;
             }
         }
@@ -122,6 +137,15 @@ impl Decoder for PerceptronDecoder {
         Ok(decoded)
     }
 
+    fn spreads(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Spreads> {
+        if self.heads.is_empty() {
+            return Ok(Spreads::new());
+        }
+        let outputs = self.side_by_side(&self.hidden(latent, action)?)?;
+        let outputs = outputs.iter().flat_map(|outputs| self.heads.iter().map(move |head| (outputs, head)));
+        outputs.map(|(outputs, (modality, head))| Ok((*modality, head.spread(outputs)?))).collect()
+    }
+
     fn vectors(&self) -> &[(Modality, usize)] {
         &self.vectors_of
     }
@@ -129,7 +153,9 @@ impl Decoder for PerceptronDecoder {
     fn losses(&self, latent: &Tensor, action: Option<&Tensor>, targets: Targets) -> Result<Vec<Term>> {
         let hidden = self.hidden(latent, action)?;
         let mut terms = Vec::new();
-        if let Some(predicted) = self.side_by_side(&hidden)? {
+        if let Some(outputs) = self.side_by_side(&hidden)? {
+            let width = self.vectors_of.iter().map(|(_, width)| width).sum();
+            let predicted = outputs.narrow(1, 0, width)?.contiguous()?;
             let predicted = targets.added.map_or(Ok(predicted.clone()), |added| predicted + added)?;
             let loss = |modality: &Modality| targets.losses.get(modality).copied().unwrap_or_default();
             let quantity =
@@ -139,7 +165,11 @@ impl Decoder for PerceptronDecoder {
             let target = targets.values.vectors(&vectors)?;
             let losses = vector_losses(&predicted, &target, &quantities, targets.parts)?;
             for (index, modality) in vectors.into_iter().enumerate() {
-                terms.push(Term { modality, value: losses.get(index)? });
+                let value = match self.heads.get(&modality) {
+                    Some(head) => head.losses(&outputs, &predicted, &target, targets.parts)?,
+                    None => losses.get(index)?,
+                };
+                terms.push(Term { modality, value });
             }
         }
         if let Some(output) = &self.frames {
@@ -163,6 +193,7 @@ impl Decoder for PerceptronDecoder {
         Box::new(Self {
             condition: self.condition,
             vectors_of: self.vectors_of.clone(),
+            heads: self.heads.clone(),
             images_of: self.images_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),

@@ -3,9 +3,11 @@
 //! docs/networks.md explains it. Names of tensors are those of the network's file.
 
 use super::Architecture;
+use super::head::{LEAST_SCALE, heads};
 use candle_core::Result;
+use harness_metrics::force::THRESHOLD_N;
 use harness_samples::{Normalizer, Normalizers};
-use harness_spec::{Action, Element, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
+use harness_spec::{Action, Element, Family, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -15,6 +17,8 @@ pub const FORMAT: u32 = 1;
 pub const FORMAT_WITH_MEMORY: u32 = 2;
 /// Version of the description of a network that predicts changes, with or without memory.
 pub const FORMAT_WITH_CHANGES: u32 = 3;
+/// Version of the description of a network that predicts distributions, with or without memory and changes.
+pub const FORMAT_WITH_DISTRIBUTIONS: u32 = 4;
 
 /// Value that the encoder is given: all normalized vectors of the input side by side, `[batch, width]`.
 pub const VECTORS: &str = "vectors";
@@ -43,7 +47,7 @@ pub const PRIOR: &str = "prior";
 /// A network with everything that is needed to rebuild it from its tensors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
-    /// [`FORMAT`], [`FORMAT_WITH_MEMORY`] or [`FORMAT_WITH_CHANGES`].
+    /// [`FORMAT`], [`FORMAT_WITH_MEMORY`], [`FORMAT_WITH_CHANGES`] or [`FORMAT_WITH_DISTRIBUTIONS`].
     pub format: u32,
     /// `prediction`: encoder and decoder. `reconstruction`: only a decoder, which takes the latent state of the
     /// prediction's encoder.
@@ -153,8 +157,26 @@ pub struct Output {
     /// Values below this bound are set to it, after they were converted to SI units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
-    /// The loss that the decoder was trained with, in normalized units.
+    /// The loss that the decoder was trained with, in normalized units. It has no effect with a distribution.
     pub loss: Loss,
+    /// The distribution of each value; `None` if only the value is predicted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distribution: Option<Predicted>,
+}
+
+/// The distribution of each value of an output.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Predicted {
+    /// The family of the distribution.
+    pub family: Family,
+    /// Index of the first of its other parameters in the output's value: a raw scale for each element, and then the
+    /// logit of a contact for a hurdle. The normalized scale is ln(1 + e^raw) + `least_scale`.
+    pub start: usize,
+    /// The least scale.
+    pub least_scale: f64,
+    /// The force above which a link touches, N; only for a hurdle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<f32>,
 }
 
 /// The action that a decoder takes.
@@ -367,6 +389,7 @@ impl Description {
         let inputs = places(architecture, &architecture.input, [VECTORS, IMAGES]);
         let encoder = architecture.encoder_layers()?;
         let memory = architecture.memory_layers()?;
+        let (heads, _) = heads(architecture, &architecture.parts(&architecture.output)[0]);
         let output = |quantity: Quantity| {
             let name = quantity.name;
             let minimum = normalizers
@@ -376,12 +399,19 @@ impl Description {
             // A reconstruction is trained with the squared error.
             let loss = losses.get(&name).copied().filter(|_| encodes).unwrap_or_default();
             let change = (encodes && normalizers.changes.contains_key(&name)).then(|| change_of(name));
-            Output { quantity, change, minimum, loss }
+            let distribution = heads.get(&name).map(|head| Predicted {
+                family: head.family,
+                start: head.parameters,
+                least_scale: LEAST_SCALE,
+                threshold: (head.family == Family::Hurdle).then_some(THRESHOLD_N),
+            });
+            Output { quantity, change, minimum, loss, distribution }
         };
         // The names of the decoder's last layers.
         let outputs = places(architecture, &architecture.output, ["vector", "conv"]);
         let outputs: Vec<Output> = outputs.into_iter().map(output).collect();
         let format = match encodes {
+            true if !heads.is_empty() => FORMAT_WITH_DISTRIBUTIONS,
             true if outputs.iter().any(|output| output.change.is_some()) => FORMAT_WITH_CHANGES,
             true if !memory.is_empty() => FORMAT_WITH_MEMORY,
             _ => FORMAT,

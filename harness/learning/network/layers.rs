@@ -50,6 +50,15 @@ impl Builder<'_> {
         Ok(tensor)
     }
 
+    /// Creates a vector that is not trained.
+    pub fn constant(&self, values: &[f32]) -> Result<Tensor> {
+        let tensor = |device: &Device| Tensor::from_slice(values, values.len(), device);
+        match &self.made {
+            Made::Variables { device, .. } => tensor(device),
+            Made::Shapes => tensor(&Device::Cpu),
+        }
+    }
+
     /// Creates a parameter with values uniform in ±1/√`fan_in`, PyTorch's default for linear and convolutional layers.
     pub fn uniform(&mut self, name: &str, shape: &[usize], fan_in: usize) -> Result<Tensor> {
         self.insert(name, shape, |random, len| random.uniform(len, 1.0 / (fan_in as f32).sqrt()))

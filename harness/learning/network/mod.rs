@@ -9,6 +9,7 @@ mod decoder;
 pub mod description;
 mod encoder;
 mod gru;
+mod head;
 mod layers;
 mod recurrent;
 mod rssm;
@@ -23,8 +24,10 @@ pub use recurrent::Recurrent;
 use super::random::Random;
 use candle_core::{Device, Result, Tensor, Var};
 use description::Layer;
+use harness_metrics::force::THRESHOLD_N;
 use harness_ops::{self as ops, Arithmetic, Dropout, Values};
-use harness_spec::{Layout, Loss, Modality, RunSpec, Task, Trained, Window};
+use harness_samples::Normalizers;
+use harness_spec::{Family, Layout, Loss, Modality, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -52,13 +55,18 @@ pub struct Architecture {
     /// For each output that is predicted as a change, the factors between its normalized change and its change in units
     /// of the normalized value, one for each element.
     pub changes: BTreeMap<Modality, Vec<f32>>,
+    /// The outputs of which the decoder predicts a distribution.
+    pub distributions: BTreeMap<Modality, Family>,
+    /// For each output whose distribution is a hurdle, zero and the threshold of a contact as normalized values, one for
+    /// each element.
+    pub hurdles: BTreeMap<Modality, [Vec<f32>; 2]>,
 }
 
 /// Returns the network that a run trains for `task` on a dataset with this layout.
 pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> Architecture {
-    let (output, action) = match task {
-        Task::Prediction => (&spec.output, layout.action().len()),
-        Task::Reconstruction => (&spec.input, 0),
+    let (output, action, distributions) = match task {
+        Task::Prediction => (&spec.output, layout.action().len(), trained.training.distributions.clone()),
+        Task::Reconstruction => (&spec.input, 0, BTreeMap::new()),
     };
     Architecture {
         input: spec.input.clone(),
@@ -69,10 +77,26 @@ pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, tas
         network: trained.network.clone(),
         arithmetic: ops::arithmetic(trained.training.tiles, trained.training.precision),
         changes: BTreeMap::new(),
+        distributions,
+        hurdles: BTreeMap::new(),
     }
 }
 
 impl Architecture {
+    /// Returns the network for values that are normalized so, which it must know to predict changes and hurdles.
+    pub fn scaled(self, normalizers: &Normalizers) -> Self {
+        let hurdles = self.distributions.iter().filter(|(_, family)| **family == Family::Hurdle);
+        let normalized = |modality: &Modality, value: f32| {
+            let scale = &normalizers.modalities[modality];
+            let mut values = vec![value; scale.mean.len()];
+            scale.normalize(&mut values);
+            values
+        };
+        let bounds = |modality: &Modality| [0.0, THRESHOLD_N].map(|force| normalized(modality, force));
+        let hurdles = hurdles.map(|(modality, _)| (*modality, bounds(modality))).collect();
+        Self { hurdles, changes: normalizers.change_ratios(), ..self }
+    }
+
     /// Creates the network that predicts. Its parameters are added to `parameters`, those of the encoder first.
     pub fn network(
         &self,
@@ -360,6 +384,14 @@ pub trait Network: Send + Sync {
     /// Returns the predicted sample. Its images have no gradient.
     fn decode(&self, state: &State) -> Result<Decoded>;
 
+    /// Returns the distributions of the predicted sample, whose means [`decode`](Self::decode) returns.
+    ///
+    /// # Errors
+    /// When a tensor operation fails.
+    fn spreads(&self, _state: &State) -> Result<Spreads> {
+        Ok(Spreads::new())
+    }
+
     /// Returns the states of samples that are not seen, after the actions that follow them: `actions` `[times * batch,
     /// elements]`, the rows of one time together. The first sample is the one that `state` predicts.
     fn imagine(&self, state: &State, actions: &Tensor) -> Result<State> {
@@ -398,6 +430,12 @@ pub trait Encoder: Send + Sync {
 pub trait Decoder: Send + Sync {
     /// Returns the normalized observation. On the CPU its frames have no gradient.
     fn decode(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Decoded>;
+
+    /// Returns the normalized distributions of those vectors that have one.
+    ///
+    /// # Errors
+    /// When a tensor has another shape.
+    fn spreads(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Spreads>;
 
     /// Returns the decoded vectors with their widths, in the order of the decoder's last layer.
     fn vectors(&self) -> &[(Modality, usize)];
@@ -443,6 +481,26 @@ impl Summary {
 
 /// A decoder's output for a batch, normalized: vectors `[batch, width]`, and images `[batch, channels, rows, columns]`.
 pub type Decoded = BTreeMap<Modality, Tensor>;
+
+/// The predicted distributions of a batch, by modality.
+pub type Spreads = BTreeMap<Modality, Spread>;
+
+/// The distributions of the values of a vector, normalized, `[batch, width]` each.
+pub struct Spread {
+    /// The standard deviations of Gaussians. Those of a predicted change are in units of the change.
+    pub scale: Tensor,
+    /// The rest of a hurdle; `None` for Gaussians around the means.
+    pub hurdle: Option<Hurdle>,
+}
+
+/// The rest of the parameters of a hurdle: a force is zero, or that of a contact, a Gaussian of which only the values
+/// above the threshold of a contact are left.
+pub struct Hurdle {
+    /// The mean of the whole Gaussian, which is at least the threshold.
+    pub location: Tensor,
+    /// The probability of a contact.
+    pub touches: Tensor,
+}
 
 /// The loss of one output modality.
 pub struct Term {

@@ -6,7 +6,7 @@ use super::rssm::Rssm;
 use super::unit::Unit;
 use super::window::LastSamples;
 use super::{
-    Architecture, Decoded, Decoder, Draw, Encoder, Network, Observation, Seen, State, Targets, Term,
+    Architecture, Decoded, Decoder, Draw, Encoder, Network, Observation, Seen, Spreads, State, Targets, Term,
 };
 use candle_core::{DType, Device, Result, Tensor};
 use harness_spec::Memory;
@@ -86,6 +86,10 @@ impl Network for Recurrent {
 
     fn decode(&self, state: &State) -> Result<Decoded> {
         self.decoder.decode(&state.latent, state.action.as_ref())
+    }
+
+    fn spreads(&self, state: &State) -> Result<Spreads> {
+        self.decoder.spreads(&state.latent, state.action.as_ref())
     }
 
     fn losses(&self, state: &State, targets: Targets) -> Result<Vec<Term>> {

@@ -1,0 +1,251 @@
+//! Networks that predict distributions.
+
+use super::changes::{BOTH, MEMORIES, WINDOW, bench, trained};
+use super::*;
+use harness_judge::{Predicted, Predictor};
+use harness_learning::network::Decoder;
+use harness_learning::predict::TrainedNetwork;
+use harness_metrics::Ensemble;
+use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_gaussian_crps, truncated_gaussian_mean};
+use harness_spec::Family;
+use statrs::distribution::{ContinuousCDF, Normal};
+
+fn row(values: &[f32]) -> Tensor {
+    Tensor::new(values, &Device::Cpu).unwrap()
+}
+
+/// The continuous ranked probability score by its definition: the integral of the squared difference between the
+/// cumulative distribution function and the step at the target, as a sum.
+fn crps_of(cdf: impl Fn(f64) -> f64, target: f64, range: [f64; 2]) -> f64 {
+    const STEPS: usize = 200_000;
+    let [low, high] = range;
+    let step = (high - low) / STEPS as f64;
+    let at = |index: usize| low + (index as f64 + 0.5) * step;
+    (0..STEPS).map(|index| (cdf(at(index)) - f64::from(u8::from(at(index) >= target))).powi(2) * step).sum()
+}
+
+#[test]
+fn the_score_of_a_gaussian_is_its_crps() {
+    let (means, scales, targets) =
+        ([0.0, 1.0, 0.3, 0.0, -2.0], [1.0, 0.5, 2.0, 0.01, 1.5], [0.0, -2.0, 0.9, 5.0, -2.5]);
+    let found = gaussian_crps(&row(&means), &row(&scales), &row(&targets)).unwrap().to_vec1::<f32>().unwrap();
+    for (index, found) in found.into_iter().enumerate() {
+        let [mean, scale, target] = [means[index], scales[index], targets[index]].map(f64::from);
+        let normal = Normal::new(mean, scale).unwrap();
+        let expected = crps_of(|x| normal.cdf(x), target, [-20.0, 20.0]);
+        assert!((f64::from(found) - expected).abs() < 2e-4 * expected, "{index}: {found} {expected}");
+    }
+    // A distribution without width is a point, whose CRPS is its absolute error.
+    let point = gaussian_crps(&row(&[1.5]), &row(&[1e-6]), &row(&[-2.0])).unwrap();
+    assert!((point.to_vec1::<f32>().unwrap()[0] - 3.5).abs() < 1e-5);
+}
+
+#[test]
+fn the_score_of_a_truncated_gaussian_is_its_crps() {
+    const LEAST: f64 = 0.05;
+    let (means, scales, targets) = ([0.05, 0.2, 1.0, 3.0], [1.0, 2.0, 0.5, 0.5], [0.06, 3.0, 0.4, 2.0]);
+    let least = Tensor::new(LEAST as f32, &Device::Cpu).unwrap();
+    let (mean, scale) = (row(&means), row(&scales));
+    let found = truncated_gaussian_crps(&mean, &scale, &least, &row(&targets)).unwrap();
+    let found_means = truncated_gaussian_mean(&mean, &scale, &least).unwrap().to_vec1::<f32>().unwrap();
+    for (index, found) in found.to_vec1::<f32>().unwrap().into_iter().enumerate() {
+        let [mean, scale, target] = [means[index], scales[index], targets[index]].map(f64::from);
+        let normal = Normal::new(mean, scale).unwrap();
+        let below = normal.cdf(LEAST);
+        let cdf = |x: f64| (normal.cdf(x) - below).max(0.0) / (1.0 - below);
+        let expected = crps_of(cdf, target, [LEAST, 30.0]);
+        assert!((f64::from(found) - expected).abs() < 1e-3 * expected, "{index}: {found} {expected}");
+        // The mean is the bound plus the integral of the probability of a higher value, a CRPS without its square.
+        let expected: f64 = LEAST
+            + (0..100_000).map(|i| (1.0 - cdf(LEAST + (f64::from(i) + 0.5) * 3e-4)) * 3e-4).sum::<f64>();
+        assert!((f64::from(found_means[index]) - expected).abs() < 1e-4, "{index}: {expected}");
+    }
+}
+
+#[test]
+fn the_gradients_of_scores_are_finite_differences() {
+    let mut random = random(8);
+    let target = normal(&mut random, &[6, 3]);
+    let arguments = [variable(&mut random, &[6, 3]), variable(&mut random, &[6, 3])];
+    assert_gradients(&arguments, |args| gaussian_crps(&args[0], &(softplus(&args[1])? + 1e-3)?, &target));
+    let least = Tensor::new(&[-1.0f32, 0.0, 0.1], &Device::Cpu).unwrap();
+    let touches = target.gt(0.0).unwrap().to_dtype(candle_core::DType::F32).unwrap();
+    let location = |raw: &Tensor| softplus(raw)?.broadcast_add(&least);
+    assert_gradients(&arguments, |args| {
+        let (location, scale) = (location(&args[0])?, (softplus(&args[1])? + 1e-3)?);
+        let score = truncated_gaussian_crps(&location, &scale, &least, &target)?;
+        (score * &touches)? + cross_entropy(&args[0], &touches)?
+    });
+    assert_gradients(&arguments, |args| {
+        truncated_gaussian_mean(&location(&args[0])?, &(softplus(&args[1])? + 1e-3)?, &least)
+    });
+}
+
+#[test]
+fn softplus_neither_overflows_nor_vanishes() {
+    let x = Var::new(&[-80.0f32, -1.0, 0.0, 1.0, 1e4], &Device::Cpu).unwrap();
+    let found = softplus(&x).unwrap();
+    let expected = [-80f64, -1.0, 0.0, 1.0].map(|x| x.exp().ln_1p());
+    let values = found.to_vec1::<f32>().unwrap();
+    assert!(values.iter().zip(expected).all(|(found, expected)| (f64::from(*found) - expected).abs() < 1e-6));
+    assert_eq!(values[4], 1e4);
+    let gradients = found.sum_all().unwrap().backward().unwrap().get(&x).unwrap().to_vec1::<f32>().unwrap();
+    assert!(gradients[0].abs() < 1e-6 && gradients[2] == 0.5 && gradients[4] == 1.0, "{gradients:?}");
+}
+
+/// What is predicted of a modality at each horizon, with its distributions.
+fn distributions(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Ensemble> {
+    let mut found = BTreeMap::new();
+    let mut receive = |Predicted { modality, horizon, ensemble, .. }: &Predicted| {
+        if *modality == of {
+            found.insert(*horizon, ensemble.clone().expect("a distribution"));
+        }
+        Ok(())
+    };
+    predictor.predict(at, &mut receive).unwrap();
+    found
+}
+
+#[test]
+fn the_loss_is_the_crps_of_the_judged_distributions() {
+    for memory in MEMORIES {
+        let (bench, network, _) = bench(memory, Family::Gaussian);
+        let (data, horizon) = (&bench.data, WINDOW.horizon);
+        let training = Training::default();
+        let objective =
+            Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
+        let at = &bench.partition.test[..1];
+        let terms = objective.terms(at, Draw::Mean).unwrap();
+        let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
+        let loss = f64::from(term.value.to_scalar::<f32>().unwrap());
+        let deviation = &data.normalizers.changes[&Modality::ARM].std;
+        let context = if memory == Memory::None { 1 } else { WINDOW.context };
+        let mut scores = Vec::new();
+        for (distance, ago) in (1..=horizon).flat_map(|one| (0..context).map(move |ago| (one, ago))) {
+            let window = Window { context: context - ago, horizon: distance, ..WINDOW };
+            let trained = trained(data, objective.network.detached(), &window);
+            let present = [at[0].before(ago)];
+            let ensemble = distributions(&trained, &present, Modality::ARM).remove(&distance).unwrap();
+            let reference = data.samples.vector(Modality::ARM, present[0].after(distance));
+            for (element, (reference, std)) in reference.iter().zip(deviation).enumerate() {
+                scores.push(ensemble.at(element).crps(*reference) / f64::from(*std));
+            }
+        }
+        let expected = scores.iter().sum::<f64>() / scores.len() as f64;
+        // The judge has 100 quantiles.
+        assert!((loss - expected).abs() < 5e-3 * expected, "{memory}: {loss} {expected}");
+    }
+}
+
+#[test]
+fn drawn_values_have_the_spread_of_the_distribution() {
+    let (bench, network, _) = bench(Memory::Gru, Family::Gaussian);
+    let window = WINDOW;
+    let mut trained = trained(&bench.data, network.detached(), &window);
+    let at = &bench.partition.test[..2];
+    let quantiles = distributions(&trained, at, Modality::ARM);
+    trained.draws = 400;
+    let draws = distributions(&trained, at, Modality::ARM);
+    assert_eq!(distributions(&trained, &at[1..], Modality::ARM)[&2].at(0).quantile(0.3), {
+        draws[&2].at(ARM_JOINTS).quantile(0.3)
+    });
+    for (horizon, value) in
+        [1, 2, 5].into_iter().flat_map(|horizon| (0..6).map(move |value| (horizon, value)))
+    {
+        let width = |all: &Ensemble| {
+            let [low, high] = all.at(value).interval(0.5);
+            high - low
+        };
+        let ratio = width(&draws[&horizon]) / width(&quantiles[&horizon]);
+        // The latent state is drawn as well.
+        assert!((0.8..1.6).contains(&ratio), "{horizon} {value}: {ratio}");
+    }
+}
+
+const FORCE: Modality = Modality::CONTACT_FORCE;
+
+/// A decoder of forces whose last layer returns the same values for each link whatever it gets.
+fn constant_decoder(bench: &Bench, family: Family, columns: &[f32]) -> Box<dyn Decoder> {
+    let architecture =
+        Architecture { output: vec![FORCE], distributions: [(FORCE, family)].into(), ..bench.architecture() };
+    let mut parameters = Parameters::new();
+    let architecture = architecture.scaled(&bench.data.normalizers);
+    let decoder = architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    let weight = &parameters["decoder.vector.weight"];
+    weight.set(&weight.zeros_like().unwrap()).unwrap();
+    let bias = columns.iter().flat_map(|column| [*column; JOINTS]).collect::<Vec<_>>();
+    parameters["decoder.vector.bias"].set(&row(&bias)).unwrap();
+    decoder
+}
+
+#[test]
+fn a_hurdle_with_a_certain_contact_is_a_gaussian() {
+    let bench = Bench::new();
+    let scale = &bench.data.normalizers.modalities[&FORCE];
+    let mut forces: Vec<f32> = (0..JOINTS).map(|link| 1.0 + link as f32).collect();
+    scale.normalize(&mut forces);
+    let target = Tensor::from_vec(forces, (1, JOINTS), &Device::Cpu).unwrap();
+    let values: Observation = [(FORCE, Value::Vector(target))].into_iter().collect();
+    let (latent, action) =
+        (row(&[0.0; 3]).unsqueeze(0).unwrap(), row(&[0.0; ARM_JOINTS]).unsqueeze(0).unwrap());
+    let said = |family: Family, columns: &[f32]| {
+        let decoder = constant_decoder(&bench, family, columns);
+        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+        let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
+        let mean = decoder.decode(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
+        let spread = decoder.spreads(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
+        (loss, mean, spread)
+    };
+    let (loss, mean, hurdle) = said(Family::Hurdle, &[30.0, 0.3, 60.0]);
+    let (expected, expected_mean, gaussian) = said(Family::Gaussian, &[30.0, 0.3]);
+    assert_close(&loss, &expected, 1e-6, "the loss");
+    assert_close(&mean, &expected_mean, 1e-6, "the mean");
+    assert_close(&hurdle.scale, &gaussian.scale, 0.0, "the scale");
+    let rest = hurdle.hurdle.unwrap();
+    assert_close(&rest.location, &expected_mean, 1e-6, "the location");
+    assert_close(&rest.touches, &rest.touches.ones_like().unwrap(), 0.0, "the probability of a contact");
+    // Without a contact, the loss is the cross-entropy alone, here of a probability of 1/2.
+    let none = [(
+        FORCE,
+        Value::Vector({
+            let mut zeros = vec![0.0; JOINTS];
+            scale.normalize(&mut zeros);
+            Tensor::from_vec(zeros, (1, JOINTS), &Device::Cpu).unwrap()
+        }),
+    )];
+    let values: Observation = none.into_iter().collect();
+    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+    let decoder = constant_decoder(&bench, Family::Hurdle, &[30.0, 0.3, 0.0]);
+    let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
+    assert!((scalar(&loss.get(0).unwrap()).unwrap() - 2f64.ln()).abs() < 1e-6);
+}
+
+#[test]
+fn the_quantiles_of_a_hurdle_have_its_mean_and_its_mass_at_zero() {
+    let mut bench = Bench::new();
+    bench.training.distributions = [(FORCE, Family::Hurdle)].into();
+    let network = bench.architecture().network(&mut Parameters::new(), &mut random(3), &Device::Cpu).unwrap();
+    let (data, window, output) = (&bench.data, &Window::TRANSITION, &[FORCE]);
+    let at = &bench.partition.test[..3];
+    let network_of = || network.detached();
+    let judged =
+        TrainedNetwork { data, network: network_of(), input: &INPUT, output, window, draws: 0, seed: 0 };
+    let seen = data.observation(at, &INPUT).unwrap();
+    let encoded = network.encode(&seen, &mut Draw::Mean).unwrap();
+    let state = network.observe(None, &encoded, &mut Draw::Mean).unwrap().state;
+    let state = network.act(&state, &data.actions(at).unwrap()).unwrap();
+    let touches = network.spreads(&state).unwrap().remove(&FORCE).unwrap().hurdle.unwrap().touches;
+    let touches = touches.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let mut keep = |Predicted { values, ensemble, .. }: &Predicted| {
+        let ensemble = ensemble.as_ref().unwrap();
+        for (index, (value, touches)) in values.iter().zip(&touches).enumerate() {
+            let distribution = ensemble.at(index);
+            assert!((distribution.above(0.05) - f64::from(*touches)).abs() <= 0.01, "{index}");
+            let mean = distribution.mean(f64::from);
+            assert!((mean - f64::from(*value)).abs() < 0.01 * mean, "{index}: {mean} {value}");
+            assert_eq!(distribution.quantile(0.0), 0.0);
+        }
+        Ok(())
+    };
+    judged.predict(at, &mut keep).unwrap();
+}
