@@ -422,6 +422,17 @@ fn commands_that_read_say_that_there_are_no_results() {
         let message = error(&finish(&mut harness(folder.0.path(), arguments)), 2);
         assert!(message.contains(": it holds neither runs nor datasets; "), "{message}");
     }
+    // A file of the user that is not there comes first.
+    for arguments in [
+        &["claims", "--file", "none.yaml"][..],
+        &["claims", "--readings", "none.yaml"],
+        &["report", "--claims", "none.yaml"],
+        &["report", "--readings", "none.yaml"],
+        &["serve", "--claims", "none.yaml"],
+    ] {
+        let message = error(&finish(&mut harness(&nowhere, arguments)), 2);
+        assert_eq!(message, "none.yaml: there is no such file", "{arguments:?}");
+    }
     assert!(files(folder.0.path()).is_empty());
 }
 
@@ -962,8 +973,10 @@ fn a_latent_state_that_nothing_uses_is_shown_with_its_divergence() {
 
 #[test]
 fn what_was_probably_meant_is_named() {
-    let cases: [(&[&str], &[&str]); 13] = [
+    let cases: [(&[&str], &[&str]); 15] = [
         (&["rnu"], &["'run'"]),
+        (&["run", SMOKE, "--seed", "1"], &["tip: a setting is written without dashes: seeds=VALUE"]),
+        (&["run", SMOKE, "--batch-size=8"], &["without dashes: training.batch_size=VALUE"]),
         (&["world", "chekc", "empty"], &["'check'"]),
         (
             &["show", "smoke/none"],

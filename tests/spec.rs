@@ -827,11 +827,18 @@ fn bad_overrides_are_refused_by_name() {
     );
     // Both keys differ from `seeds` by one letter. The suggestion must not be `simulation.seed`, which changes the
     // data.
-    for (text, suggestion) in
-        [("seed=7", "seeds=[7]"), ("seed=[7, 8]", "seeds=[7, 8]"), ("sees=7", "seeds=[7]")]
-    {
+    let long = format!("seed=[{}]", [7; 40].map(|seed| seed.to_string()).join(", "));
+    for (text, suggestion) in [
+        ("seed=7", "seeds=[7]"),
+        ("seed=[7, 8]", "seeds=[7, 8]"),
+        ("sees=7", "seeds=[7]"),
+        // What is refused, too, or shortened is not suggested.
+        ("seed=1e400", "seeds"),
+        ("training.epoch=two", "training.epochs"),
+        (&long, "seeds"),
+    ] {
         let message = override_refusal(text);
-        assert!(message.ends_with(&format!("; did you mean '{suggestion}'?")), "{message}");
+        assert!(message.contains(&format!("; did you mean '{suggestion}'?")), "{message}");
     }
     assert!(override_refusal("quick={}").starts_with("override 'quick={}': unknown key 'quick'"));
 }

@@ -65,8 +65,9 @@ impl Claims {
             let path = path.clone().or(named).unwrap_or_else(|| READINGS.into());
             return self.execute_readings(registry, &path, &chosen, form);
         }
-        let recorded = registry.recorded();
         let spec = file.spec_of_readings(registry, self.quick)?;
+        registry.check_there()?;
+        let recorded = registry.recorded();
         // A plan is about the claims' own experiments, and so are settings that name no other experiment.
         let is_of_spec = |setting: &&Setting| {
             spec.as_ref().is_some_and(|spec| setting.experiment.as_ref() == Some(&spec.name))
@@ -218,6 +219,7 @@ impl Claims {
         if spec.readings.is_empty() {
             bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
         }
+        registry.check_there()?;
         let readings = Readings::new(registry, &spec, chosen, &self.runs.settings)?;
         let matrix = readings.judge(chosen)?;
         if matrix.rows.is_empty() {

@@ -49,7 +49,7 @@ use harness::nearest;
 use harness::registry::{Registry, RegistryError, quoted};
 use harness::report::ReportError;
 use harness::simulation::SimulationError;
-use harness::spec::SpecError;
+use harness::spec::{SpecError, setting_names};
 use harness_terminal::{encoding, latex, output, table};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -475,7 +475,9 @@ fn parsed(arguments: &[OsString]) -> Result<Arguments, clap::Error> {
         command = with_fitting_examples(command, limit);
     }
     let matches = command.try_get_matches_from_mut(arguments);
-    let matches = matches.map_err(|error| with_nearest_command(error, &command, arguments))?;
+    let matches = matches.map_err(|error| {
+        with_setting(with_nearest_command(error, &command, arguments), &command, arguments)
+    })?;
     Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
 }
 
@@ -487,13 +489,36 @@ fn with_nearest_command(
 ) -> clap::Error {
     let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
     // The last command before the wrong one is the one whose subcommands were meant.
-    let known = arguments.iter().filter_map(|word| word.to_str()).take_while(|word| word != wanted);
-    let of = known.fold(command, |command, word| command.find_subcommand(word).unwrap_or(command));
+    let of = command_before(wanted, command, arguments);
     let names: Vec<&str> = of.get_subcommands().map(clap::Command::get_name).collect();
     if let Some(name) = nearest(wanted, &names).map(str::to_owned) {
         error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(vec![name]));
     }
     error
+}
+
+/// Says how a setting is written to the error about an option of its name, instead of how to pass the option as a value.
+fn with_setting(mut error: clap::Error, command: &clap::Command, arguments: &[OsString]) -> clap::Error {
+    let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return error };
+    let takes_settings = |argument: &clap::Arg| {
+        argument.get_value_names().is_some_and(|names| names.iter().any(|name| name == "KEY=VALUE"))
+    };
+    let names = setting_names();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let meant = nearest(&option.trim_start_matches('-').replace('-', "_"), &names);
+    let of = command_before(option, command, arguments);
+    if let Some(name) = meant.filter(|_| of.get_positionals().any(takes_settings)) {
+        let tip = format!("a setting is written without dashes: {name}=VALUE");
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
+}
+
+/// Returns the last command that is named before `word`, which may have a value after `=`.
+fn command_before<'a>(word: &str, command: &'a clap::Command, arguments: &[OsString]) -> &'a clap::Command {
+    let words = arguments.iter().filter_map(|one| one.to_str());
+    let before = words.take_while(|one| one.split('=').next() != Some(word));
+    before.fold(command, |command, word| command.find_subcommand(word).unwrap_or(command))
 }
 
 /// Makes the examples of a command and of its subcommands fit the terminal. An example is a line that begins with two
@@ -566,16 +591,13 @@ impl Command {
     /// Whether the command only reads results, so that the results folder must exist.
     fn reads_results(&self) -> bool {
         match self {
-            Self::Query(_) | Self::Claims(_) | Self::Compare(_) | Self::Show(_) => true,
+            Self::Query(_) | Self::Compare(_) | Self::Show(_) => true,
             Self::Ls(list) => list.reads_results(),
-            Self::Figures(_)
-            | Self::Plot(_)
-            | Self::Report(_)
-            | Self::Serve(_)
-            | Self::Publish(_)
-            | Self::Export(_) => true,
+            Self::Figures(_) | Self::Plot(_) | Self::Publish(_) | Self::Export(_) => true,
             Self::Verify | Self::Diff(_) | Self::Watch(_) => true,
             Self::Rm(_) | Self::Gc(_) => true,
+            // They read the user's files first, and check the folder themselves.
+            Self::Claims(_) | Self::Report(_) | Self::Serve(_) => false,
             Self::Completions { .. } => false,
             Self::Run(_) | Self::Collect(_) | Self::Validate(_) | Self::Submit(_) => false,
             Self::Import(_) | Self::Judge(_) | Self::Task(_) => false,

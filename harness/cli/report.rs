@@ -48,6 +48,7 @@ impl Report {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
         let readings = spec::load(&self.readings, &[], self.quick)?;
+        registry.check_there()?;
         let asked = Asked { experiments: self.experiments, settings: self.runs.settings, quick: self.quick };
         let page = report::page(registry, &claims, &readings, &asked, &Bars::default())?;
         write_bytes(&self.output, page.as_bytes())?;

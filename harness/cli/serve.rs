@@ -23,6 +23,7 @@ impl Serve {
     /// Serves the page until a signal ends it.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
+        registry.check_there()?;
         interrupt::install()?;
         // A panic in Polars is the answer to a query, so nothing must be printed about it.
         std::panic::set_hook(Box::new(|_| {}));

@@ -73,8 +73,9 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
     if section.is_empty() {
         let suggest = |name: &str| {
             let is_single = schema::is_list(name) && !value.trim_start().starts_with('[');
-            let value = shorten(value);
-            if is_single { format!("{name}=[{value}]") } else { format!("{name}={value}") }
+            let value = if is_single { format!("[{value}]") } else { value.to_owned() };
+            let is_allowed = parse(&value).is_ok_and(|node| schema::allows(name, &node));
+            if is_allowed && shorten(&value) == value { format!("{name}={value}") } else { name.to_owned() }
         };
         return unknown("key", key, "", names, suggest);
     }

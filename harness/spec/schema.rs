@@ -7,8 +7,8 @@ use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
 use harness_yaml::{
-    Node, Problem, allow_single_values, check_against, choices, is_like, is_name, join, key_pattern,
-    list_single, properties, property, resolve, takes_one_item, types,
+    Node, Problem, allow_single_values, check_against, check_part, choices, is_like, is_name, join,
+    key_pattern, list_single, properties, property, resolve, takes_one_item, types,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Value as Json, json};
@@ -327,6 +327,11 @@ pub(super) fn list_single_values(tree: &mut Node) {
 /// Returns whether a setting is a list that may have a single item.
 pub(super) fn is_list(setting: &str) -> bool {
     setting_schema(setting).is_some_and(takes_one_item)
+}
+
+/// Returns whether the schema allows a value of a setting.
+pub(super) fn allows(setting: &str, value: &Node) -> bool {
+    setting_schema(setting).is_some_and(|schema| check_part(&SCHEMA, schema, value, &HINTS).is_ok())
 }
 
 /// Whether there is a setting of that dotted key: one of [`setting_names`], or one that a world or a modality of
