@@ -279,6 +279,18 @@ fn what_is_no_model_of_a_robot_is_refused_with_a_way_on() {
     .unwrap();
     let said = finish(&mut harness(&folder, &["world", "check", &path("own.yaml")])).stderr;
     assert!(said.contains("own.yaml:3:8: can't read the model") && said.contains("compiled from"), "{said}");
+    // A world file is no model, and no model is called like a world file.
+    let own = path("packed/robot/robot.yaml");
+    let said = refused(&[&own]);
+    assert!(said.contains("no XML, as models in MJCF and URDF are; `harness world check '"), "{said}");
+    assert!(refused(&["empty"]).contains("empty: No such file"));
+    for more in [&[][..], &["--actuate"]] {
+        fs::write(path("bare.xml"), format!("<mujoco><worldbody>{ARM}</worldbody></mujoco>")).unwrap();
+        let said =
+            refused(&[&[path("bare.xml").as_str(), "--output", &path("bare_world.xml")], more].concat());
+        assert!(said.contains("the name of a world file ends in .yaml"), "{said}");
+        assert!(said.contains(&format!("--output {}", path("bare_world.yaml"))), "{said}");
+    }
     // Names that no world has.
     let said = refused(&[&path("tendon.xml")]);
     assert!(said.contains("'tendon' is a built-in world") && !said.contains("letters"), "{said}");
@@ -372,7 +384,7 @@ fn outcome(folder: &Path, model: &Path) -> &'static str {
         follow(folder, said);
     }
     // Without a driver of OpenGL, nothing is rendered, which would take most of the time.
-    let mut check = harness(folder, &["world", "check", &world]);
+    let mut check = harness(folder, &["world", "check", &world, "--episodes", "1"]);
     let check = finish(check.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/none"));
     assert_eq!(check.code, 0, "{}: {}", model.display(), check.stderr);
     outcome

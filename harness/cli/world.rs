@@ -11,7 +11,9 @@ use clap::{Args, Subcommand};
 use harness::files::write_bytes;
 use harness::numbers::counted;
 use harness::registry::path_word;
-use harness::simulation::{Addable, Scene, SceneRenderer, SimulationError, actuate, draft_world, notes};
+use harness::simulation::{
+    Addable, Scene, SceneRenderer, SimulationError, actuate, check_model, draft_world, notes,
+};
 use harness::spec::{Definition, Modality, World, is_name, world_schema};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -69,6 +71,14 @@ pub enum WorldError {
     /// The file exists already.
     #[error("{} exists already; name another file with --output", .0.display())]
     Exists(PathBuf),
+    /// The file's ending is not that of a world file.
+    #[error("{}: the name of a world file ends in .yaml; write `harness {command}`", path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+        /// The arguments with another ending.
+        command: String,
+    },
     /// Options that describe one world, with several or with a format.
     #[error(
         "--render and --all are about one world, without --format and --output; leave them out, or check each world alone"
@@ -139,6 +149,7 @@ fn checked_scene(world: &str) -> Result<Scene> {
 
 /// Writes a first world file for a model and, if `actuate` is set, a copy of the model with what its action moves.
 fn write_world(model: &Path, output: Option<PathBuf>, actuates: bool) -> Result<()> {
+    check_model(model)?;
     let default = || {
         let mut name = model.file_stem().unwrap_or_default().to_owned();
         name.push(if actuates { "_actuated.yaml" } else { ".yaml" });
@@ -147,6 +158,10 @@ fn write_world(model: &Path, output: Option<PathBuf>, actuates: bool) -> Result<
     let mut path = output.clone().unwrap_or_else(default);
     if path.extension().is_none() {
         path.set_extension("yaml");
+    }
+    if !path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml") {
+        let command = new_command(model, Some(&path.with_extension("yaml")), actuates);
+        return Err(WorldError::Ending { path, command }.into());
     }
     check_name(model, &path, actuates)?;
     let copy = actuates.then(|| path.with_extension("xml"));

@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::joints::is_single;
-use super::load::{load_file, read_model};
+use super::load::load_file;
 use super::names::{BODY, JOINT, called};
 use super::scene::prepare;
 use mujoco_rs::prelude::*;
@@ -88,7 +88,6 @@ pub fn actuate(model: &Path, is_elsewhere: bool) -> Result<Actuated, SimulationE
     let scene = model.display().to_string();
     let unsuitable = |problem| SimulationError::Unsuitable { scene: scene.clone(), problem };
     let edited = |error: MjEditError| unsuitable(format!("MuJoCo can't add to it: {error}"));
-    read_model(model).map_err(unsuitable)?;
     let path = model;
     let model = load_file(path)?;
     if model.nactuator() + model.nmocap() > 0 {

@@ -4,7 +4,7 @@ use super::SimulationError;
 use super::actuate::{Addable, Probe, flex_joints};
 use super::controls::Control;
 use super::joints::{ball_and_free, described, is_free, is_single, touches};
-use super::load::{load_file, read_model};
+use super::load::load_file;
 use super::names::{
     ACTUATOR, BODY, CAMERA, FLEX, GEOM, JOINT, ObjectKind, SENSOR, all_called, called, first_few, named,
 };
@@ -39,8 +39,6 @@ pub fn draft_world(model: &Path, path: &str, probe: Option<&Probe>) -> Result<St
     prepare()?;
     let scene = model.display().to_string();
     let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let unsuitable = |problem| SimulationError::Unsuitable { scene: scene.clone(), problem };
-    read_model(model).map_err(unsuitable)?;
     let model = load_file(model)?;
     if model.nactuator() == 0 && model.nmocap() == 0 {
         return Err(SimulationError::NoAction { scene, adds: Addable::to(&model) });
@@ -80,7 +78,9 @@ pub fn draft_world(model: &Path, path: &str, probe: Option<&Probe>) -> Result<St
     let world = world.and_then(|world| world.check_rates().map(|()| world)).map_err(SimulationError::from);
     match world.and_then(|world| Resolver::new(&world, &model).resolve().map(|_| ())) {
         Ok(()) => Ok(draft.text),
-        Err(error) => Err(unsuitable(format!("no world file suits it: {error}"))),
+        Err(error) => {
+            Err(SimulationError::Unsuitable { scene, problem: format!("no world file suits it: {error}") })
+        }
     }
 }
 

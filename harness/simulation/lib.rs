@@ -49,6 +49,7 @@ pub use factors::FactorValues;
 pub use fitness::{Finding, Limit, fitness};
 pub use knowledge::{ErrorSize, Knowledge, PositionError};
 pub use live::LiveSimulation;
+pub use load::check_model;
 pub use notes::{Notes, notes};
 pub use opengl::{RenderingDevice, prepare_rendering, rendering};
 pub use plan::EpisodePlan;

@@ -19,6 +19,11 @@ pub(super) fn read_model(path: &Path) -> Result<Vec<u8>, String> {
     if path.is_dir() {
         return Err("it is a folder; name the MJCF file in it".into());
     }
+    // MuJoCo reads the file again, and nobody may write to a pipe.
+    let metadata = path.metadata().map_err(|error| error.to_string())?;
+    if !metadata.is_file() {
+        return Err("it is a pipe or a device; name the file of a model".into());
+    }
     let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
     let (archive, folder) = (path.to_string_lossy(), path.with_extension(""));
     let folder = folder.to_string_lossy();
@@ -42,7 +47,23 @@ pub(super) fn read_model(path: &Path) -> Result<Vec<u8>, String> {
                 .into(),
         );
     }
+    // A byte order mark may come before the text.
+    if !bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&bytes).trim_ascii_start().starts_with(b"<") {
+        let is_world = path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
+        let check = quoted(["harness", "world", "check", &archive]);
+        let hint = if is_world { format!("; `{check}` checks a world file") } else { String::new() };
+        return Err(format!("it is no XML, as models in MJCF and URDF are{hint}"));
+    }
     Ok(bytes)
+}
+
+/// Refuses a file that can't be the model of a world, before anything else is done with its path.
+///
+/// # Errors
+/// When the file can't be read, or is no XML.
+pub fn check_model(path: &Path) -> Result<(), SimulationError> {
+    let unsuitable = |problem| SimulationError::Unsuitable { scene: path.display().to_string(), problem };
+    read_model(path).map(drop).map_err(unsuitable)
 }
 
 /// Compiles an MJCF file.
