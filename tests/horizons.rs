@@ -459,6 +459,42 @@ fn the_skill_horizon_ends_before_the_first_skill_below_0() {
 }
 
 #[test]
+fn round_off_has_neither_r2_nor_skill() {
+    let (folder, results) = (tempfile::tempdir().unwrap(), fresh("horizons_round_off"));
+    let write = |name: &str, text: &str| {
+        fs::write(folder.path().join(name), text).unwrap();
+        folder.path().join(name).display().to_string()
+    };
+    // The arm moves in a plane, so the angle of the last joint is only the round-off of its motion.
+    write(
+        "arm.xml",
+        r#"<mujoco><worldbody><body euler="0 0 30"><joint name="a" axis="0 1 0" damping=".1"/>
+        <geom type="capsule" size=".04 .2" pos="0 0 -.3" mass="1"/>
+        <body pos="0 0 -.6"><joint name="b" axis="1 0 0" damping=".1" stiffness="1"/>
+        <geom type="capsule" size=".04 .2" pos="0 0 -.3" mass="1"/></body></body></worldbody>
+        <actuator><position name="a" joint="a" kp="20" ctrlrange="-1 1"/></actuator></mujoco>"#,
+    );
+    write(
+        "arm.yaml",
+        "model: arm.xml\nstep_rate_hz: 500\nsample_rate_hz: 10\nmodalities:\n  moved: {joint_positions: a}\n  \
+         still: {joint_positions: b}\naction: {seconds: 1, actuators: {a: {actuator: a, range: [-1, 1]}}}\n",
+    );
+    let spec = write(
+        "arm_runs.yaml",
+        "name: arm_runs\nscenarios: arm.yaml\ninput: [moved]\noutput: [moved, still]\nlatent: 2\n\
+         network: {preset: multi_to_multi, hidden: [4]}\nsimulation: {episodes: 5, actuations_per_episode: 3}\n\
+         training: {epochs: 1, batch_size: 8}\n",
+    );
+    succeed(&results, &["run", &spec]);
+    let varying = "select value from metrics where modality = 'still' and metric = 'rmse' and value > 0";
+    let errors = catalog::query(&Registry::new(&results), varying).unwrap();
+    assert!(errors.height() > 0, "it varies");
+    let said = succeed(&results, &["compare", "arm_runs", "--metrics", "r2,skill", "--format", "csv"]);
+    assert!(said.contains(",moved,") && !said.contains(",still,"), "{said}");
+    fs::remove_dir_all(&results).unwrap();
+}
+
+#[test]
 fn horizons_are_columns_of_a_comparison() {
     let ask = ["compare", "smoke", "--metrics", "r2", "--models", "network", "--task", "prediction"];
     let as_markdown = ["--format", "markdown"];

@@ -123,6 +123,17 @@ fn undefined_metrics_are_none() {
 fn round_off_has_no_r2() {
     let angle = |name: &str| Element { name: name.into(), unit: "rad".into() };
     let definition = Definition::vector(Modality::PROPRIOCEPTION, "", vec![angle("a"), angle("b")]);
+    let r2_of = |unit: &str, reference: &[f32]| {
+        let element = Element { name: "a".into(), unit: unit.into() };
+        let definition = Definition::vector(Modality::PROPRIOCEPTION, "", vec![element]);
+        let rows = evaluate(&definition, reference, &vec![0.0; reference.len()]).unwrap();
+        rows.iter().find(|row| row.metric == Metric::R2).unwrap().value
+    };
+    // A simulation computes positions in m with larger numbers than these. A recorded capacitance may be that small.
+    for unit in ["m", "rad/s", "N m", "m/s^2"] {
+        assert_eq!((r2_of(unit, &[4e-15, -4e-15]), r2_of(unit, &[1e-9, -1e-9])), (None, Some(0.0)), "{unit}");
+    }
+    assert_eq!(r2_of("F", &[4e-15, -4e-15]), Some(0.0));
     // The second angle is round-off: of its own value, and of what the first one was computed with.
     for still in [[5.0, f32::from_bits(5.0_f32.to_bits() + 1)], [1e-18, -1e-18]] {
         let reference = [1.0, still[0], 2.0, still[1]];

@@ -265,15 +265,15 @@ impl Question {
         self.experiments.is_empty() || self.experiments.iter().any(|name| name == experiment)
     }
 
-    /// The names of the metrics that are read, as a list of SQL. The skill is computed from the RMSE, and a WMAPE without
-    /// a value says that what is predicted is 0.
+    /// The names of the metrics that are read, as a list of SQL. The skill is computed from the RMSE where R2 or the
+    /// relative error has a value, and a WMAPE without one says that what is predicted is 0.
     fn read_metrics(&self) -> String {
         let names: Vec<&str> = match self.metrics.as_slice() {
             [] => USUAL.iter().chain(&ALWAYS_DEFINED).map(|metric| metric.name()).collect(),
             metrics => metrics
                 .iter()
                 .map(String::as_str)
-                .chain([Metric::Rmse.name(), Metric::Wmape.name()])
+                .chain([Metric::Rmse, Metric::R2, Metric::RelativeError, Metric::Wmape].map(Metric::name))
                 .collect(),
         };
         names.iter().map(|name| format!("'{}'", quoted(name))).collect::<Vec<_>>().join(", ")

@@ -4,18 +4,24 @@ use super::rows::Row;
 use harness_judge::models::PERSISTENCE;
 use harness_metrics::Metric;
 use harness_metrics::skill::{skill, skill_horizon};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// The unit of the skill horizon.
 const SAMPLES: &str = "samples";
 
 /// The skill of each model other than persistence, at each horizon for which `rows` have its RMSE and that of
-/// persistence.
+/// persistence. Like R2, it is not defined where the reference varies only by round-off, which is persistence's error.
 pub(super) fn skills<'a>(rows: &[Row<'a>]) -> Vec<Row<'a>> {
     let errors = || rows.iter().filter(|row| row.metric == Metric::Rmse.name());
     let key = |row: &Row<'a>| (row.experiment, row.run, row.task, row.modality, row.direction, row.horizon);
+    let relative = [Metric::R2, Metric::RelativeError].map(Metric::name);
+    let varying: HashSet<_> = rows
+        .iter()
+        .filter(|row| relative.contains(&row.metric) && row.value.is_some())
+        .map(key)
+        .collect();
     let persistence: HashMap<_, f64> = errors()
-        .filter(|row| row.model == PERSISTENCE)
+        .filter(|row| row.model == PERSISTENCE && varying.contains(&key(row)))
         .filter_map(|row| Some((key(row), row.value?)))
         .collect();
     let of_model = |row: &Row<'a>| {

@@ -3,7 +3,7 @@
 
 use super::ensemble::{Distribution, Ensemble};
 use super::error::{MetricsError, check_samples};
-use super::series::{self, Series};
+use super::series::{self, Series, smallest_mean_square};
 use super::{Direction, Metric, Row, metric_unit};
 use harness_spec::{CONTACT_PARTS as PARTS, Definition};
 use rayon::prelude::*;
@@ -309,7 +309,7 @@ impl ForceEvaluation {
 
 /// Returns R2 of some links, of which those that vary only by round-off are left out.
 fn r2(series: Vec<Series>) -> Option<f64> {
-    let mean_square = series.iter().map(Series::mean_square).fold(0.0, f64::max);
+    let mean_square = series.iter().map(Series::mean_square).fold(smallest_mean_square(Some("N")), f64::max);
     let series: Vec<Series> =
         series.into_iter().map(|series| series.without_round_off(mean_square)).collect();
     series::r2(&series)

@@ -25,6 +25,7 @@ pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
 pub use force::{ForceEvaluation, Forces};
 pub use series::Series;
+use series::smallest_mean_square;
 pub use words::{best, higher_is_better, label, rounded};
 
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, NO_CONTACT, Percentage, intern};
@@ -487,11 +488,12 @@ impl Evaluation {
         }
     }
 
-    /// Returns the largest mean square of the references of the elements with each unit.
+    /// Returns the largest mean square of the references of the elements with each unit, or of what they are computed with.
     fn mean_squares(&self) -> HashMap<Option<&str>, f64> {
         let mut largest = HashMap::new();
         for (element, series) in self.columns.iter().enumerate() {
-            let own = largest.entry(self.definition.unit_of(&[element])).or_insert(0.0);
+            let unit = self.definition.unit_of(&[element]);
+            let own = largest.entry(unit).or_insert_with(|| smallest_mean_square(unit));
             *own = f64::max(*own, series.mean_square());
         }
         largest

@@ -8,6 +8,18 @@
 /// (Higham, 2002, *Accuracy and Stability of Numerical Algorithms*, section 2.2).
 const PRECISION: f64 = f32::EPSILON as f64;
 
+/// A robot's positions, angles and forces are computed with numbers of at least this size, m, rad, N. What varies by less
+/// than [`PRECISION`] of it is the round-off of these, even if nothing larger was recorded.
+const SMALLEST: f64 = 1e-5;
+
+/// Returns the mean square of the smallest numbers that values with this unit are computed with; 0 for a unit that a
+/// simulation of mechanics does not have, such as that of an imported sensor.
+pub(super) fn smallest_mean_square(unit: Option<&str>) -> f64 {
+    let is_mechanical = |part: &str| ["m", "rad", "s", "N", "m^2", "s^2"].contains(&part);
+    let is_of_all = unit.is_some_and(|unit| unit.split([' ', '/']).all(is_mechanical));
+    if is_of_all { SMALLEST.powi(2) } else { 0.0 }
+}
+
 /// Sums over the pairs (r, p) of one joint, link or pixel value, in f64.
 ///
 /// Pairs can be collected from an iterator, or added one at a time if they don't fit in memory.
