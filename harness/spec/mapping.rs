@@ -3,6 +3,7 @@
 use super::error::SpecError;
 use super::origin::Scenario;
 use super::text::read_text;
+use super::world::one_line;
 use harness_layout::{Definition, Layout, Modality};
 use harness_yaml::{
     Entry, Hints, Node, Problem, Value, check_part, choices, is_name, no_name, parse, properties, resolve,
@@ -187,6 +188,9 @@ fn modality(node: &Node, known: Option<&Definition>) -> Result<bool, (&'static s
             ".unit",
             "is that of the finger's; leave it out, or give the modality another name".into(),
         ));
+    }
+    if let Some(unit) = node.get("unit") {
+        one_line(text(unit)).map_err(|message| (".unit", message.into()))?;
     }
     if is_image && node.get("scale").is_some() {
         return Err((".scale", "only a vector has a scale".into()));

@@ -1000,6 +1000,11 @@ impl World {
     }
 }
 
+/// Refuses a unit that would divide the lines of tables.
+pub(super) fn one_line(unit: &str) -> Result<(), &'static str> {
+    if unit.chars().any(char::is_control) { Err("a unit has no line breaks or tabs") } else { Ok(()) }
+}
+
 /// Returns the name of the setting for the range of an element of the action: `lift_range_m`.
 pub fn range_setting(name: &str, actuator: &Actuator) -> String {
     let unit: String = actuator.unit.chars().filter(char::is_ascii_alphanumeric).collect();
@@ -1037,6 +1042,8 @@ fn check(file: &WorldFile) -> Result<(), (String, String)> {
             .map_err(|message| (format!("action.actuators.{name}"), message))?;
         actuator.check().map_err(|message| (format!("action.actuators.{name}"), message.into()))?;
         ascending(actuator.range).map_err(|message| (format!("action.actuators.{name}.range"), message))?;
+        one_line(&actuator.unit)
+            .map_err(|message| (format!("action.actuators.{name}.unit"), message.into()))?;
     }
     for (name, placing) in file.placement.iter() {
         let at = |key: &str| format!("placement.{name}{key}");
@@ -1128,6 +1135,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     if sensing.unit.is_some() && sensing.sensor.is_none() {
         return misplaced("unit", "a sensor");
     }
+    one_line(sensing.unit.as_deref().unwrap_or_default()).map_err(|message| ("unit", message.into()))?;
     let is_pose = matches!(sensing.source(), Source::Pose { .. });
     for (key, is_given) in [("relative_to", sensing.relative_to.is_some()), ("set", sensing.set)] {
         if is_given && !is_pose {

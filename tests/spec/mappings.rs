@@ -190,6 +190,10 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
             csv("  vision: {from: log.x, scale: 2}"),
             "m.yaml:9:32: 'modalities.vision.scale': only a vector has a scale",
         ),
+        (
+            csv(r#"  x: {from: log.x, unit: "m\n"}"#),
+            "m.yaml:9:26: 'modalities.x.unit': a unit has no line breaks",
+        ),
         (csv("  vision: [log.x, log.y]"), "m.yaml:9:11: 'modalities.vision': an image is from one column"),
         (
             csv("  wrist: {from: log.x, size: [8, 8]}\n  wrist_difference: log.y"),
