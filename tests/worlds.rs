@@ -93,6 +93,12 @@ fn mistakes_of_a_world_file_are_a_line_with_place_and_choices() {
             place("[-1, 0]"),
             "the range [0, -1] is reversed; write [-1, 0]",
         ),
+        (
+            "unit: m, range: [-1, 0]",
+            "unit: \"m\\n\", range: [-1, 0]",
+            place("m, range: [-1, 0]"),
+            "a unit has no line breaks or tabs",
+        ),
         ("  arm:\n", "  proprioception:\n", place("  arm:\n"), "duplicate"),
         (
             "  contact_force:\n",
@@ -523,8 +529,9 @@ fn a_first_world_file_can_be_used_for_any_model() {
     let folder = tempfile::tempdir().unwrap();
     let model =
         HAND.replace("<sensor><force name=\"u\" site=\"s\"/><touch name=\"u_0\" site=\"s\"/></sensor>", "");
-    fs::write(folder.path().join("hand.xml"), &model).unwrap();
-    fs::write(folder.path().join("Hand-2.xml"), &model).unwrap();
+    for name in ["hand.xml", "Hand-2.xml", "empty.xml"] {
+        fs::write(folder.path().join(name), &model).unwrap();
+    }
     let path = |name: &str| folder.path().join(name).display().to_string();
     succeed(folder.path(), &["world", "new", &path("hand.xml")]);
     let said = succeed(folder.path(), &["world", "check", &path("hand.yaml")]);
@@ -639,6 +646,23 @@ fn a_check_notes_hidden_geoms_slow_rendering_and_rk4() {
     // The servo is weak, which is another matter.
     let (listed, _) = said.split_once("\nFitness for learning").unwrap();
     assert!(listed.contains(" ms for the images of a sample") && !listed.contains("note: "), "{said}");
+}
+
+#[test]
+fn a_check_finds_a_divergence_after_everything_has_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    // The actuator pushes along the velocity, which grows by e in a third of a second.
+    let model = r#"<mujoco><worldbody><body><joint name="j" type="slide"/><geom name="g" size=".1" mass="1"/></body>
+      </worldbody><actuator><general name="a" joint="j" biastype="affine" biasprm="0 0 3" ctrlrange="-1 1"/></actuator>
+      </mujoco>"#;
+    let file = folder.path().join("grows.xml").display().to_string();
+    fs::write(&file, model).unwrap();
+    succeed(folder.path(), &["world", "new", &file]);
+    let said = succeed(folder.path(), &["world", "check", &file.replace(".xml", ".yaml")]);
+    assert!(
+        said.contains("note: recording fails: episode 0 of ") && said.contains("a smaller range or"),
+        "{said}"
+    );
 }
 
 #[test]

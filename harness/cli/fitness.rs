@@ -23,11 +23,13 @@ pub fn judge(scenes: &[Scene], episodes: u32, form: Form) -> Result<ExitCode> {
     Ok(ExitCode::from(DONE))
 }
 
-/// Prints whether a world is fit for learning, and what changes the values that are not. What does not simulate has a
-/// note already.
+/// Prints whether a world is fit for learning, and what changes the values that are not, or that it diverges.
 pub fn print_judgement(scene: &Scene, episodes: u32) -> Result<()> {
     let found = match fitness(scene, episodes) {
-        Err(SimulationError::Diverged { .. }) => return Ok(()),
+        Err(error @ SimulationError::Diverged { .. }) => {
+            print_text(&format!("note: recording fails: {error}; a smaller range or longer moves may help"));
+            return Ok(());
+        }
         found => found?,
     };
     println!("\nFitness for learning, in {}:", counted(episodes as usize, "episode"));

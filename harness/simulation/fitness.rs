@@ -81,7 +81,8 @@ impl Finding {
 pub fn fitness(scene: &Scene, episodes: u32) -> Result<Vec<Finding>, SimulationError> {
     let spec = scene.world().simulation();
     let seen = (0..episodes).into_par_iter().map(|episode| watch(scene, &spec, episode));
-    let seen: Vec<Seen> = seen.collect::<Result<_, _>>()?;
+    // Of several errors, that of the first episode is returned.
+    let seen: Vec<Seen> = seen.collect::<Vec<_>>().into_iter().collect::<Result<_, _>>()?;
     let mut all = Seen::new(scene);
     seen.into_iter().for_each(|episode| all.add(episode));
     Ok(all.findings(scene))

@@ -188,26 +188,22 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
     notes
 }
 
-/// Simulates the world's episodes until every vector has changed, for a limited time. Notes a simulation that fails, and
-/// the vectors that stay the same, such as the forces of contacts that do not happen.
+/// Simulates the world's episodes until every vector has changed, for a limited time, or until they diverge. Notes the
+/// vectors that stay the same, such as the forces of contacts that do not happen.
 fn simulated(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, SimulationError> {
     let spec = scene.world().simulation();
     let is_stored = |one: &Definition| one.name.is_sensed() && !one.is_image() && one.difference_of.is_none();
     let sensed = || scene.layout().modalities.iter().enumerate().filter(|(_, one)| is_stored(one));
     // Those that have not changed so far, each with its values at the first sample.
     let mut same: Vec<(usize, &Definition, Vec<f32>)> = Vec::new();
-    let (begin, mut samples, mut fails) = (Instant::now(), 0, None);
+    let (begin, mut samples) = (Instant::now(), 0);
     'episodes: for episode in 0.. {
         let plan = EpisodePlan::draw(scene, &spec, episode)?;
         physics.start(&plan);
         for _ in 0..physics.timing.samples {
             let is_over =
                 samples * physics.timing.steps_per_sample >= TRIED_STEPS || begin.elapsed() > TRIED_FOR;
-            if is_over || samples > 0 && same.is_empty() {
-                break 'episodes;
-            }
-            if let Err(error) = physics.follow(&plan) {
-                fails = Some(format!("recording fails: {error}; a smaller range or longer moves may help"));
+            if is_over || samples > 0 && same.is_empty() || physics.follow(&plan).is_err() {
                 break 'episodes;
             }
             let (instant, _) = physics.sampled();
@@ -227,8 +223,7 @@ fn simulated(scene: &Scene, mut physics: Physics) -> Result<Vec<String>, Simulat
             definition.name
         )
     };
-    let same = same.into_iter().map(note).filter(|_| samples > 1);
-    Ok(fails.into_iter().chain(same).collect())
+    Ok(same.into_iter().map(note).filter(|_| samples > 1).collect())
 }
 
 fn slow_rendering(time: &SampleTime) -> Option<String> {
