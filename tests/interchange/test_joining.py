@@ -316,6 +316,20 @@ def test_parquet_files_are_refused_with(tmp_path, case):
     is_refused(tmp_path, words, **OF_ROWS)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (pl.col("x").cast(pl.Int32), "rec/b.parquet: has 'x' as Int32, and .*rec/a.parquet has 'x' as Int64; save all"),
+        (pl.lit(0).alias("y"), "rec/b.parquet: has 'y' as Int32, and .*rec/a.parquet has no column 'y'; save all"),
+    ],
+)
+def test_parquet_files_of_other_columns_are_refused(tmp_path, change, words):
+    write_rows(tmp_path, rows())
+    second = tmp_path / "rec/b.parquet"
+    pl.read_parquet(second).with_columns(change).write_parquet(second)
+    is_refused(tmp_path, words, **OF_ROWS)
+
+
 @pytest.fixture
 def lerobot(monkeypatch) -> types.SimpleNamespace:
     """A stand-in for the package lerobot, which other tests use. It has `times`, and the `root` that it was given."""
@@ -500,7 +514,7 @@ def test_the_command_that_inspecting_proposes_can_be_pasted(tmp_path):
         ("time,cmd,a_1\n\n0,1,2\n0.1,1,3\n", "rec/t1.csv: line 2: has 0 values, and the header 3$"),
         ('time,cmd,a_1,label\n0,1,2,"a\nb"\n0.1,1,3,"c\n0.2,1,3,d\n', "t1.csv: line 4: a quotation mark is not closed"),
         ("time,cmd,a_1\n0,1,2\n0.1,1,3,4\n", "rec/t1.csv: line 3: has 4 values, and the header 3$"),
-        ("0,1,2\n0.1,1,3\n", "rec/t1.csv: there is no column 'time'; the columns are 0, 1, 2"),
+        ("0,1,2\n0.1,1,3\n", "no column 'time'; the columns are 0, 1, 2; these are numbers, so a file may lack"),
         ("time,cmd,b_1\n0,1,2\n0.1,1,2\n", "rec/t1.csv: modalities.a: there is no column 's.a_1'; the columns are"),
         ("time,cmd,a_1\n0,1,NA\n0.1,1,2\n", "rec/t1.csv: line 2: 'a_1' is 'NA', which is no number; leave a missing"),
         (f"time,cmd,a_1,{'x' * 200_000}\n0,1,2,3\n", "rec/t1.csv: line 1: can't be read: field larger than"),

@@ -169,7 +169,14 @@ def test_a_video_is_turned_as_players_show_it(tmp_path):
     assert (shown[:, 4:] > 200).all() and (shown[:, :4] < 50).all(), shown
 
 
-def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("format", "words"),
+    [
+        ("16UC1; png compressed ", "has pixels of the kind I;16; a picture has 8 bits"),
+        ("16UC1; compressedDepth", "has the format '16UC1; compressedDepth', and a picture has 8 bits"),
+    ],
+)
+def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path, format, words):
     store = get_typestore(Stores.ROS2_HUMBLE)
     types, buffer = store.types, io.BytesIO()
     Image.fromarray(DEPTH).save(buffer, "PNG")
@@ -181,11 +188,11 @@ def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path):
             at = 10**18 + row * 10**8
             stamp = types["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
             head = types["std_msgs/msg/Header"](stamp, "")
-            picture = types[kind](head, "16UC1; png compressed ", np.frombuffer(buffer.getvalue(), np.uint8))
+            picture = types[kind](head, format, np.frombuffer(buffer.getvalue(), np.uint8))
             writer.write(eye, at, store.serialize_cdr(picture, kind))
             writer.write(command, at, store.serialize_cdr(types[number](float(row)), number))
     streams = {"eye": {"topic": "/eye"}, "command": {"topic": "/command"}}
-    with pytest.raises(ValueError, match="rec: /eye: message 0, .*: has pixels of the kind I;16; a picture has 8 bits"):
+    with pytest.raises(ValueError, match=f"rec: /eye: message 0, .*: {words}"):
         imported(tmp_path, format="ros2", streams=streams, modalities={"setpoint": "command", "eye": EYE})
 
 
@@ -216,6 +223,7 @@ def of_rows(folder: Path, modality: Any = "x", **columns: Any) -> Path:
         ),
         ([1.7e9, 1.7e9 + 0.1, 1.7e9 + 0.2, 1.7e9 + 0.3], "modalities.x: value 0 changes by 0.3 only, near 1.7e.09"),
         ([1e39] * 4, "modalities.x: value 0 of row 0 is 1e.39; it must be a finite number"),
+        ([1e-50, 2e-50, 3e-50, 0.0], "modalities.x: value 0 changes by 3e-50 only, near 0; .*; use a smaller unit"),
     ],
 )
 def test_numbers_that_a_dataset_cannot_store_are_refused(tmp_path, values, words):

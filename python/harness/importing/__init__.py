@@ -126,6 +126,8 @@ class Import:
     """The recording, whose episodes are read."""
     page: Path
     """The page with plots."""
+    commanded: list[str]
+    """The modalities that seem to have the values of the setpoint."""
 
 
 def run_import(path: Path, results: Path, progress: bool) -> Import:
@@ -140,7 +142,7 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
     name = write_dataset(mapping, recording.sample_rate_hz, episodes, results, progress)
     page = results / "imports" / f"{name}.html"
     write_page(page, name, mapping, recording, sketch)
-    return Import(name, recording, page)
+    return Import(name, recording, page, sorted(sketch.commanded or []))
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from .mapping import Mapping, MappingError, StreamSettings
+from .mapping import Mapping, MappingError, StreamSettings, listed
 from .streams import Stream, Take, blaming, changes, divided, matching, nanoseconds, natural, regular
 from .video import VIDEOS, Folder, Video
 
@@ -243,7 +243,7 @@ class Table:
 
     def _texts(self, column: str) -> pl.Series:
         if column not in self.names:
-            raise MappingError(f"{self.path}: there is no column '{column}'; the columns are {', '.join(self.names)}")
+            raise MappingError(f"{self.path}: there is no column '{column}'; the columns are {listed(self.names)}")
         text = self.frame[column].str.strip_chars()
         # Where values are not separated by commas, decimal places may be.
         return text if self.separator == "," else text.str.replace(",", ".", literal=True)

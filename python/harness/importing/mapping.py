@@ -39,6 +39,14 @@ _ACTION = re.compile(r"action\b")
 _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?")
 
 
+def listed(columns: list[str]) -> str:
+    """Returns the names of columns, and a hint if a file seems to begin with numbers instead of names."""
+    names = [name.partition(".")[2] or name for name in columns]
+    is_number = re.compile(r"[-+]?\d*\.?\d+([eE][-+]?\d+)?")
+    hint = "; these are numbers, so a file may lack a first line with the names of its columns"
+    return ", ".join(columns) + (hint if names and all(map(is_number.fullmatch, names)) else "")
+
+
 class MappingError(ValueError):
     """Raised if a mapping is wrong or does not fit the recording. The message says where and why."""
 
@@ -129,11 +137,13 @@ class Selection:
             )
         largest, span = np.abs(stored).max(axis=0), np.ptp(values, axis=0)
         steps = np.spacing(largest)
-        if (coarse := (largest > EXACT) & (steps * LEVELS > span) & (span > 0)).any():
+        is_extreme = (largest > EXACT) | (largest < np.finfo(np.float32).tiny)
+        if (coarse := is_extreme & (steps * LEVELS > span) & (span > 0)).any():
             element = int(np.argmax(coarse))
+            advice = "subtract a constant before the import" if largest[element] > 1 else "use a smaller unit, by 'scale'"
             raise self.error(
                 f"value {element} changes by {span[element]:.6g} only, near {largest[element]:.6g}; datasets store 24 "
-                f"bits (float32), in which such values are {steps[element]:g} apart; subtract a constant before the import"
+                f"bits (float32), in which such values are {steps[element]:g} apart; {advice}"
             )
         return stored
 
@@ -152,7 +162,7 @@ class Selection:
         names = fnmatch.filter(available, found["column"]) if is_pattern else [found["column"]]
         unknown = [name for name in names if name not in available]
         if unknown or not names:
-            raise self.error(f"there is no column '{found['column']}'; the columns are {', '.join(available)}")
+            raise self.error(f"there is no column '{found['column']}'; the columns are {listed(available)}")
         first = int(found["first"] or 0)
         last = int(found["last"]) if found["last"] else first + 1 if found["first"] else None
         return [(name, slice(first, last)) for name in names]

@@ -43,8 +43,25 @@ def open_parquet(mapping: Mapping, what: Rows) -> Recording:
 
 
 def scanned(files: list[Path]) -> pl.LazyFrame:
-    """Returns the rows of files, without a meaning for any letter in their paths."""
-    return pl.scan_parquet([path.absolute() for path in files], glob=False, hive_partitioning=False)
+    """Returns the rows of files, without a meaning for any letter in their paths.
+
+    Raises:
+        MappingError: their columns or the columns' types differ.
+    """
+
+    def scan(paths: list[Path]) -> pl.LazyFrame:
+        return pl.scan_parquet([path.absolute() for path in paths], glob=False, hive_partitioning=False)
+
+    kinds = [scan([path]).collect_schema() for path in files]
+    for path, found in zip(files, kinds, strict=True):
+        differing = sorted(name for name in {*found, *kinds[0]} if found.get(name) != kinds[0].get(name))
+        for name in differing[:1]:
+            own, first = (
+                f"has '{name}' as {each[name]}" if name in each else f"has no column '{name}'"
+                for each in (found, kinds[0])
+            )
+            raise MappingError(f"{path}: {own}, and {files[0]} {first}; save all files alike")
+    return scan(files)
 
 
 def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:

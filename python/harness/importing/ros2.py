@@ -288,6 +288,11 @@ class BagStream(Stream):
 
     def _picture(self, message: Any, row: int) -> Any:
         if self._connection.msgtype == COMPRESSED:
+            if "compressedDepth" in message.format:
+                raise MappingError(
+                    f"{self.at(row)}: has the format '{message.format}', and a picture has 8 bits per channel; convert "
+                    "depths before the import with a fixed range, so that 0 and 255 mean the same in all"
+                )
             return message.data.tobytes()
         if message.encoding not in ENCODINGS:
             raise MappingError(
