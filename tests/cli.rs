@@ -1011,6 +1011,7 @@ fn what_was_probably_meant_is_named() {
     for (arguments, parts) in cases {
         let answer = finish(&mut harness(&RESULTS, arguments));
         assert_eq!(answer.code, 2, "{arguments:?}: {}", answer.stderr);
+        assert!(!answer.stderr.contains("as a value"), "an option is no value: {}", answer.stderr);
         for part in parts {
             assert!(answer.stderr.contains(part), "{arguments:?} does not say {part}: {}", answer.stderr);
         }

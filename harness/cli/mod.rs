@@ -33,7 +33,7 @@ mod watch;
 mod world;
 
 use anyhow::bail;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
@@ -507,9 +507,16 @@ fn with_setting(mut error: clap::Error, command: &clap::Command, arguments: &[Os
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let meant = nearest(&option.trim_start_matches('-').replace('-', "_"), &names);
     let of = command_before(option, command, arguments);
-    if let Some(name) = meant.filter(|_| of.get_positionals().any(takes_settings)) {
-        let tip = format!("a setting is written without dashes: {name}=VALUE");
-        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    let meant = meant.filter(|_| of.get_positionals().any(takes_settings));
+    let tip = meant.map(|name| StyledStr::from(format!("a setting is written without dashes: {name}=VALUE")));
+    let mut tips: Vec<StyledStr> = match error.remove(ContextKind::Suggested) {
+        Some(ContextValue::StyledStrs(tips)) => tips,
+        _ => Vec::new(),
+    };
+    tips.retain(|tip| !tip.to_string().contains("as a value"));
+    tips.extend(tip);
+    if !tips.is_empty() {
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
     }
     error
 }
