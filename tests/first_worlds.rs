@@ -289,7 +289,7 @@ fn what_is_no_model_of_a_robot_is_refused_with_a_way_on() {
         let said =
             refused(&[&[path("bare.xml").as_str(), "--output", &path("bare_world.xml")], more].concat());
         assert!(said.contains("the name of a world file ends in .yaml"), "{said}");
-        assert!(said.contains(&format!("--output {}", path("bare_world.yaml"))), "{said}");
+        assert!(said.contains("/bare_world.yaml'`"), "{said}");
     }
     // Names that no world has.
     let said = refused(&[&path("tendon.xml")]);
