@@ -48,7 +48,7 @@ def open_lerobot(mapping: Mapping) -> Recording:
                 rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
                 with _blaming(mapping.source):
                     items = [dataset[row] for row in rows]
-                times = np.array([float(item["timestamp"]) for item in items])
+                    times = np.array([float(item["timestamp"]) for item in items])
                 if problem := irregular(times, 1 / dataset.fps):
                     row, how = problem
                     raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
