@@ -4,6 +4,7 @@ mod evaluate;
 mod export;
 mod external;
 mod model;
+mod recorded;
 mod rollout;
 mod schedule;
 mod search;
@@ -13,6 +14,7 @@ mod worlds;
 pub use export::{attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
 pub use model::{Model, ModelError, Values};
+pub use recorded::recording_notes;
 pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};
@@ -448,6 +450,11 @@ impl<'a> Runner<'a> {
             self.progress.say(&note);
         }
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
+        if matches!(source.dataset, AnyDataset::Imported(_)) {
+            for note in recorded::setpoint_notes(&samples, &spec.output, &partition)? {
+                self.progress.say(&format!("{}: {note}", spec.scenario));
+            }
+        }
         for note in samples.constant_outputs(&spec.output, &partition) {
             self.progress.say(&format!("{}: {note}", spec.scenario));
         }

@@ -137,6 +137,11 @@ impl Model {
         &self.record
     }
 
+    /// Returns the number of elements of the action that the network takes; 0 if it takes none.
+    pub fn action_width(&self) -> usize {
+        self.record.layout.action().len()
+    }
+
     /// Returns the mean and the log-variance of the posterior for `batch` observations, `[batch, latent]` each.
     /// Modalities that the encoder does not use are ignored.
     ///
@@ -153,7 +158,7 @@ impl Model {
     }
 
     /// Predicts the next observations from the posterior's mean and `action` `[batch, elements]`, in the form and the
-    /// units that the run's spec defines.
+    /// units that the run's spec defines. Without a setpoint, the action has no elements.
     ///
     /// # Errors
     /// Those of [`Model::encode`], and when `action` has the wrong number of values.
@@ -163,7 +168,7 @@ impl Model {
         observation: &Values,
         mut action: Vec<f32>,
     ) -> Result<Values, ModelError> {
-        let elements = self.record.layout.action().len();
+        let elements = self.action_width();
         check("action", batch, elements, &action)?;
         let present = |modality: Modality| observation[&modality].clone();
         let observation = self.observation(batch, observation)?;

@@ -51,7 +51,7 @@ impl Modality {
     pub const VISION: Self = Self("vision");
     /// The external camera's image minus the one of the sample before, in [-1, 1]; zero at an episode's first sample.
     pub const FRAME_DIFFERENCE: Self = Self("frame_difference");
-    /// The setpoints of the actuators. Every dataset records them, and the action is computed from them.
+    /// The setpoints of the actuators, from which the action is computed. Recordings of passive systems have none.
     pub const SETPOINT: Self = Self("setpoint");
     /// The values of the factors of variation that were drawn for an episode, the same at each of its samples. They are
     /// recorded only if the spec turns on a factor.
@@ -376,7 +376,7 @@ pub struct Region {
 /// Describes the samples of a dataset. It is stored in `dataset.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Layout {
-    /// The modalities, including [`Modality::SETPOINT`], in the order of the columns.
+    /// The modalities, including [`Modality::SETPOINT`] if there is one, in the order of the columns.
     pub modalities: Vec<Definition>,
     /// The regions of the images of cameras without a segmentation, which colors tell. A pixel that matches several
     /// regions belongs to the last of them.
@@ -413,7 +413,7 @@ impl Layout {
         self.modalities.iter().position(|definition| definition.name == modality)
     }
 
-    /// Returns the elements of the action, which are those of the setpoint.
+    /// Returns the elements of the action, which are those of the setpoint; none without a setpoint.
     pub fn action(&self) -> &[Element] {
         self.get(Modality::SETPOINT).map_or(&[], |definition| definition.elements())
     }

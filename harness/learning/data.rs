@@ -1,7 +1,7 @@
 //! A dataset as tensors for a network.
 
 use super::observation::{Observation, Value};
-use candle_core::{Device, Result, Tensor};
+use candle_core::{DType, Device, Result, Tensor};
 use harness_ops::frames::{Images, SampleFrames};
 use harness_ops::{Values, input};
 use harness_samples::{Normalizers, Sample, Samples};
@@ -31,7 +31,7 @@ pub struct NormalizedData {
 enum Table {
     /// The normalized vectors of all samples, `[samples, width]`.
     Vectors(Modality),
-    /// The actions after all samples but the last, `[samples - 1, elements]`.
+    /// The actions after all samples, `[samples, elements]`.
     Actions,
     /// The factors that turn a change in units of the values' deviation into a normalized one, `[width]`.
     Change(Modality),
@@ -129,15 +129,19 @@ impl NormalizedData {
         Tensor::from_vec(values, (rows, columns), &self.device)
     }
 
-    /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one.
+    /// Returns the normalized actions, `[batch, elements]`, between each sample in `at` and the next one. Without a
+    /// setpoint, these are `[batch, 1]` zeros, which no network takes.
     pub fn actions(&self, at: &[Sample]) -> Result<Tensor> {
+        if self.samples.layout().action().is_empty() {
+            return Tensor::zeros((at.len(), 1), DType::F32, &self.device);
+        }
         let actions =
             |at: &[Sample]| self.matrix(self.normalizers.actions(&self.samples, at, self.action), at.len());
         if self.device.is_cpu() {
             return actions(at);
         }
         self.rows(at, Table::Actions, || {
-            actions(&(0..self.samples.len() - 1).map(Sample::at).collect::<Vec<_>>())
+            actions(&(0..self.samples.len()).map(Sample::at).collect::<Vec<_>>())
         })
     }
 }

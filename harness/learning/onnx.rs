@@ -85,7 +85,7 @@ pub fn model(
         };
     }
     // A memory takes the action also if the decoder does not.
-    if let Some(action) = decoder.action.as_ref().or(memory.as_ref().map(|memory| memory.action)) {
+    if let Some(action) = decoder.action.as_ref().or(encoding.action.as_ref().filter(|_| memory.is_some())) {
         graph.action(action)?;
     }
     if let Some(memory) = &memory {
@@ -159,8 +159,6 @@ struct Remembered<'a> {
     first: &'a Layer,
     /// The layers after it.
     others: &'a [Layer],
-    /// The action between two samples.
-    action: &'a ActionTaken,
     /// Names and widths of the parts of the state.
     parts: Vec<(String, usize)>,
 }
@@ -168,7 +166,7 @@ struct Remembered<'a> {
 impl<'a> Remembered<'a> {
     /// Returns the memory of the described network; `None` if it has none.
     fn of(description: &'a Description) -> Option<Self> {
-        let ((first, others), action) = (description.memory.split_first()?, description.action.as_ref()?);
+        let (first, others) = description.memory.split_first()?;
         let width = match first.operation {
             // The oldest of the last samples is left out.
             Operation::LastSamples { samples } => first.output[0] / samples * (samples - 1),
@@ -176,13 +174,13 @@ impl<'a> Remembered<'a> {
         };
         let takes_latent = first.inputs.iter().any(|input| input == LATENT);
         let latent = takes_latent.then_some((LAST_LATENT, description.latent));
-        let own =
-            [(LAST_MEMORY, width)].into_iter().chain(latent).chain([(LAST_ACTION, action.elements.len())]);
+        let action = description.action.as_ref().map(|action| (LAST_ACTION, action.elements.len()));
+        let own = [(LAST_MEMORY, width)].into_iter().chain(latent).chain(action);
         let own = own.map(|(part, width)| (part.to_owned(), width));
         // What a predicted change is added to is that of the last sample that was seen.
         let present = changed(description).map(|output| (last(output), output.quantity.shape[0]));
         let parts = own.chain(present).collect();
-        Some(Self { first, others, action, parts })
+        Some(Self { first, others, parts })
     }
 
     /// Returns the width of the state.

@@ -30,9 +30,11 @@ pub fn rssm(
     latent: &Tensor,
     arithmetic: Arithmetic,
 ) -> Result<(Tensor, Tensor)> {
-    let ((rows, actions), (batch, width), (_, size)) =
-        (given.actions.dims2()?, memory.dims2()?, latent.dims2()?);
+    let (rows, (batch, width), (_, size)) = (given.actions.dim(0)?, memory.dims2()?, latent.dims2()?);
     let StateSpace { input, hidden, distribution } = parameters;
+    // A unit of the latent state alone takes no actions.
+    let takes_actions = input.weight.dim(1)? > size;
+    let actions = if takes_actions { given.actions.dim(1)? } else { 0 };
     let (gates, units) = (3 * width, distribution.hidden_weight.dim(0)?);
     let wanted = [
         (latent, vec![batch, size]),
@@ -55,8 +57,13 @@ pub fn rssm(
     }
     let part = |weight: &Tensor, first: usize, columns: usize| weight.narrow(1, first, columns);
     // The parts of the products that do not depend on the last time.
-    let of_actions = part(input.weight, size, actions)?;
-    let of_actions = linear(given.actions, &of_actions, input.bias, false, arithmetic)?;
+    let of_actions = match takes_actions {
+        true => {
+            let weight = part(input.weight, size, actions)?;
+            linear(given.actions, &weight, input.bias, false, arithmetic)?
+        }
+        false => input.bias.broadcast_as((rows, gates))?.contiguous()?,
+    };
     let of_encoded = match given.encoded {
         Some(encoded) => {
             let weight = part(distribution.hidden_weight, width, columns)?;

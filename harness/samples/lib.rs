@@ -160,10 +160,15 @@ impl Samples {
     /// Returns the index of the episode that contains `sample`, in its own dataset, and the sample's index in that
     /// episode.
     pub fn place(&self, sample: Sample) -> (usize, usize) {
-        let sample = sample.index();
-        let episode = self.episodes.partition_point(|range| range.end <= sample);
+        let (episode, place) = self.place_in_memory(sample);
         let first = self.before_test.filter(|first| *first <= episode).unwrap_or(0);
-        (episode - first, sample - self.episodes[episode].start)
+        (episode - first, place)
+    }
+
+    /// Returns the index of the episode that contains `sample`, among all in memory, and the sample's index in it.
+    fn place_in_memory(&self, sample: Sample) -> (usize, usize) {
+        let episode = self.episodes.partition_point(|range| range.end <= sample.index());
+        (episode, sample.index() - self.episodes[episode].start)
     }
 
     /// Returns a vector modality of all samples in physical units, `[samples, width]`.
@@ -187,7 +192,7 @@ impl Samples {
 
     /// Returns the commands to the actuators at all samples, `[samples, elements of the action]`.
     pub fn setpoints(&self) -> &[f32] {
-        self.vectors(Modality::SETPOINT)
+        self.layout.position(Modality::SETPOINT).map_or(&[], |position| &self.vectors[position])
     }
 
     /// Returns the frames of an image modality. For a difference, these are the frames of the image that it is computed
@@ -230,13 +235,16 @@ impl Samples {
         if place == 0 { sample } else { sample.before(1) }
     }
 
-    /// Returns the action between `sample` and the next one, in physical units.
+    /// Returns the action between `sample` and the next one, in physical units. The setpoint does not change after the
+    /// last sample of an episode.
     pub fn action(&self, action: Action, sample: Sample) -> impl Iterator<Item = f32> {
         let width = self.layout.action().len();
-        let steps = &self.setpoints()[sample.index() * width..][..2 * width];
+        let (episode, place) = self.place_in_memory(sample);
+        let last = if place + 1 < self.episodes[episode].len() { sample.index() + 1 } else { sample.index() };
+        let (now, next) = (sample.index() * width, last * width);
         (0..width).map(move |element| match action {
-            Action::Target => steps[width + element],
-            Action::Increment => steps[width + element] - steps[element],
+            Action::Target => self.setpoints()[next + element],
+            Action::Increment => self.setpoints()[next + element] - self.setpoints()[now + element],
         })
     }
 }

@@ -49,7 +49,15 @@ fn parse_mapping(text: &str) -> Result<Json, Problem> {
             "the file is empty; `harness import --inspect FILE` writes a first mapping of a recording";
         return Err(Problem::new(&tree.place, message));
     }
-    check_part(&SCHEMA, format(&tree)?, &tree, &HINTS)?;
+    let format = format(&tree)?;
+    if let Some(Node { value: Value::Section(entries), place }) = tree.get("modalities")
+        && entries.iter().all(|entry| entry.key != Modality::SETPOINT.name())
+    {
+        let message = "missing 'modalities.setpoint', what was commanded; for a recording without commands, write \
+                       'setpoint: none'";
+        return Err(Problem::new(place, message));
+    }
+    check_part(&SCHEMA, format, &tree, &HINTS)?;
     check(&tree)
         .map_err(|(path, message)| Problem::new(tree.place_of(&path), format!("'{path}': {message}")))?;
     Ok(tree.to_json())

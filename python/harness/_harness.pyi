@@ -28,6 +28,7 @@ __all__ = [
     "plot",
     "query",
     "read_mapping",
+    "recording_notes",
     "reserved_names",
     "report",
     "run",
@@ -98,6 +99,12 @@ def read_mapping(path: Path) -> str:
     """Reads and checks a mapping. Returns its content as JSON, whose keys are in the file's order.
 
     Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.
+    """
+
+def recording_notes(datasets: Path, name: str) -> list[str]:
+    """Returns what may be wrong with an imported dataset, in sentences.
+
+    Raises OSError if the dataset can't be read.
     """
 
 def networks(run: str, results: Path) -> list[tuple[str, Path]]:
@@ -371,14 +378,14 @@ class Model:
         """
 
     def predict(
-        self, observation: dict[str, ArrayLike], action: ArrayLike
+        self, observation: dict[str, ArrayLike], action: ArrayLike | None = None
     ) -> dict[str, NDArray[np.float32]]:
         """Predicts the observation one sample later, from the mean of the posterior.
 
         Args:
             observation: the values of the modalities in `input`, by name.
             action: `[batch, elements]`, in the form that the property `action` names. The elements of the worlds
-                `empty` and `cluttered` are rotation (rad), lift and extension (m).
+                `empty` and `cluttered` are rotation (rad), lift and extension (m). None for a network without action.
 
         Returns:
             The predicted values of the modalities in `output`, by name, float32, in SI units. Predicted images may be

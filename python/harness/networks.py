@@ -64,7 +64,8 @@ class State(NamedTuple):
 
     Attributes:
         latent: the latent state, `[batch, latent]`.
-        action: the normalized action after the last sample, `[batch, elements]`; None for a sample that was seen.
+        action: the normalized action after the last sample, `[batch, elements]`; None for a sample that was seen. It
+            has no elements if the network takes no action.
         memory: what the network has stored of earlier samples, `[batch, width]`.
         present: the values of the last sample that was seen to which predicted changes are added, by modality, in SI
             units.
@@ -131,7 +132,7 @@ class Network(torch.nn.Module):
         size = f"latent {self.description['latent']}, {parameters:,} parameters"
         return f"<harness.networks.Network: {given} to {found}, {size}>"
 
-    def forward(self, observation: Mapping[str, Any], action: Any) -> dict[str, Tensor]:
+    def forward(self, observation: Mapping[str, Any], action: Any = None) -> dict[str, Tensor]:
         """Predicts the observation one sample later, from the mean of the posterior.
 
         For a network with memory, the observation is the first one of an episode.
@@ -139,7 +140,7 @@ class Network(torch.nn.Module):
         Args:
             observation: the values of the input modalities, by name.
             action: `[batch, elements]`, in SI units. `description["action"]["form"]` says whether it is the change of
-                the setpoint (`increment`) or the next setpoint (`target`).
+                the setpoint (`increment`) or the next setpoint (`target`). None if the network takes no action.
 
         Returns:
             The predicted values of the output modalities, by name, in SI units. With a distribution, they are its
@@ -184,7 +185,7 @@ class Network(torch.nn.Module):
         state = self._remember(self.start(len(encoded)) if state is None else state, encoded)
         return state._replace(present=self._present(observation))
 
-    def act(self, state: State, action: Any) -> State:
+    def act(self, state: State, action: Any = None) -> State:
         """Returns the state that predicts the sample after an action.
 
         Args:
@@ -227,7 +228,9 @@ class Network(torch.nn.Module):
         mean, log_variance = values["posterior"].chunk(2, dim=1)
         return mean, log_variance
 
-    def decode(self, latent: Any, action: Any, present: Mapping[str, Any] | None = None) -> dict[str, Tensor]:
+    def decode(
+        self, latent: Any, action: Any = None, present: Mapping[str, Any] | None = None
+    ) -> dict[str, Tensor]:
         """Predicts the observation one sample later from a latent state.
 
         Args:
@@ -274,11 +277,16 @@ class Network(torch.nn.Module):
         return {name: self._tensor(observation[name]) for name in changed}
 
     def _normalized_action(self, action: Any, batch: int) -> Tensor:
-        form = self.description["action"]
-        values = self._tensor(action)
-        self._check("action", values, [len(form["elements"])], batch)
+        form = self.description.get("action")
+        values = self._tensor(np.zeros((batch, 0)) if action is None else action)
+        self._check("action", values, [self._action_width()], batch)
+        if form is None:
+            return values
         mean, deviation = self._scales(form, values.shape[1:])
         return (values - mean) / deviation
+
+    def _action_width(self) -> int:
+        return len(self.description["action"]["elements"]) if "action" in self.description else 0
 
     def _memory_width(self) -> int:
         if not self.has_memory:
@@ -291,11 +299,10 @@ class Network(torch.nn.Module):
     def _remember(self, state: State, encoded: Tensor | None) -> State:
         """Returns the state of the next sample: encoded, or not seen."""
         batch, zeros = len(state.latent), state.latent.new_zeros
-        elements = len(self.description["action"]["elements"])
         values = {
             "encoded": zeros(batch, 2 * self.description["latent"]) if encoded is None else encoded,
             "seen": zeros(batch, 1) + (encoded is not None),
-            "action": zeros(batch, elements) if state.action is None else state.action,
+            "action": zeros(batch, self._action_width()) if state.action is None else state.action,
             "latent": state.latent,
         }
         first, *layers = self.description["memory"]

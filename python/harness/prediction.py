@@ -174,8 +174,11 @@ class PredictionTask(_harness.Task):
         self.results = arguments[5]
         # The image of which a name is the change.
         self._changes = {name: known["change_of"] for name, known in modalities.items() if known["change_of"]}
-        self._arrays: Arrays = {name: self.array(name) for name in [*modalities, "setpoint"]}
-        setpoint = self._arrays["setpoint"]
+        self._arrays: Arrays = {name: self.array(name) for name in modalities}
+        samples = self.bounds()[-1][1]
+        # Without a setpoint, an action has no elements.
+        setpoint = self.array("setpoint") if about["has_setpoint"] else np.zeros((samples, 0), np.float32)
+        self._arrays["setpoint"] = setpoint
         self._steps = setpoint[1:] if self.action == "target" else np.diff(setpoint, axis=0)
         self._first = np.concatenate([np.full(end - first, first) for first, end in self.bounds()])
 

@@ -77,8 +77,10 @@ class Transitions(torch.utils.data.Dataset[tuple[dict[str, torch.Tensor], torch.
         # The image of which a name is the change.
         self._changing = {name: changes[name] for name in asked if name in changes and name not in data}
         self._arrays = {name: data[name] for name in (self._changing.get(name, name) for name in asked)}
-        self._setpoint = data["setpoint"]
         episodes = data.bounds
+        # Without a setpoint, an action has no elements.
+        empty = np.zeros((episodes[-1][1], 0), np.float32)
+        self._setpoint = data["setpoint"] if "setpoint" in data.keys() else empty
         # The first sample of each sample's episode.
         self._first = np.concatenate([np.full(end - first, first) for first, end in episodes])
         starts = np.concatenate([np.arange(first, end - 1) for first, end in episodes])

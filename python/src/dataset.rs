@@ -207,7 +207,9 @@ impl Dataset {
         let layout = self.samples.layout();
         let frames = layout.stored_images().filter(|_| self.samples.has_frames());
         let names = layout.stored_vectors().map(|definition| definition.name);
-        let vectors = names.filter(|name| *name != Modality::SETPOINT).chain([Modality::SETPOINT]);
+        let has_setpoint = layout.get(Modality::SETPOINT).is_some();
+        let setpoint = has_setpoint.then_some(Modality::SETPOINT);
+        let vectors = names.filter(|name| *name != Modality::SETPOINT).chain(setpoint);
         vectors.chain(frames.map(|definition| definition.name)).map(Modality::name).collect()
     }
 

@@ -33,7 +33,7 @@ mod _harness {
     #[pymodule_export]
     use super::dataset::Dataset;
     #[pymodule_export]
-    use super::mapping::{read_mapping, reserved_names};
+    use super::mapping::{read_mapping, recording_notes, reserved_names};
     #[pymodule_export]
     use super::model::{Model, attached, export_onnx, may_have_network, networks};
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! The Python function that reads the mappings of `harness.importing`.
 
 use crate::errors::Raise;
-use harness::spec;
+use harness::{experiment, spec};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -17,4 +17,12 @@ pub fn reserved_names() -> [&'static str; 11] {
 #[pyfunction]
 pub fn read_mapping(path: PathBuf) -> PyResult<String> {
     spec::read_mapping(&path).map(|mapping| mapping.to_string()).map_err(Raise::raise)
+}
+
+/// Returns what may be wrong with an imported dataset, in sentences.
+///
+/// Raises OSError if the dataset can't be read.
+#[pyfunction]
+pub fn recording_notes(py: Python, datasets: PathBuf, name: &str) -> PyResult<Vec<String>> {
+    py.detach(|| experiment::recording_notes(&datasets, name)).map_err(Raise::raise)
 }

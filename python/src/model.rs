@@ -142,7 +142,7 @@ impl Model {
     /// Args:
     ///     observation: the values of the modalities in `input`, by name.
     ///     action: `[batch, elements]`, in the form that the property `action` names. The elements of the worlds
-    ///         `empty` and `cluttered` are rotation (rad), lift and extension (m).
+    ///         `empty` and `cluttered` are rotation (rad), lift and extension (m). None for a network without action.
     ///
     /// Returns:
     ///     The predicted values of the modalities in `output`, by name, float32, in SI units. Predicted images may be
@@ -152,14 +152,21 @@ impl Model {
     ///     KeyError: a modality is missing, or there is one that the network does not take.
     ///     ValueError: an array has the wrong shape, or a value that is not finite or out of range.
     ///     TypeError: an array does not consist of numbers.
+    #[pyo3(signature = (observation, action=None))]
     fn predict<'py>(
         &self,
         py: Python<'py>,
         observation: &Bound<'py, PyDict>,
-        action: &Bound<'py, PyAny>,
+        action: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (batch, values) = self.read(observation)?;
-        let action = batch.vectors("action", action, self.layout().action().len())?;
+        let action = match (action, self.model.action_width()) {
+            (None, 0) => Vec::new(),
+            (None, width) => {
+                return Err(PyValueError::new_err(format!("action: the network takes one with {width} values")));
+            }
+            (Some(action), width) => batch.vectors("action", action, width)?,
+        };
         let predicted = detached(py, || self.model.predict(batch.len, &values, action))?;
         by_modality(py, self.layout(), batch, predicted.map_err(Raise::raise)?)
     }

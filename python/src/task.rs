@@ -106,6 +106,7 @@ impl Task {
             "horizons": spec.window.horizons(),
             "start": spec.window.start.name(),
             "action": spec.action,
+            "has_setpoint": layout.get(Modality::SETPOINT).is_some(),
             "split": spec.split,
             "modalities": modalities,
         });

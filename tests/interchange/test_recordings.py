@@ -639,18 +639,6 @@ def test_the_page_shows_every_modality_and_needs_no_network(recording, harness):
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(first)))), frame)
 
 
-def test_a_setpoint_that_was_measured_is_told(tmp_path):
-    rows = "".join(f"{row / 10},{row % 7},{row % 5}\n" for row in range(20))
-    for trial in range(3):
-        (tmp_path / f"{trial}.csv").write_text(f"time,angle,touch\n{rows}")
-    streams, modalities = {"s": {"file": "*.csv", "time": "time"}}, {"setpoint": "s.angle", "angle": "s.angle"}
-    mapping = write_mapping(tmp_path, format="csv", streams=streams, modalities=modalities | {"touch": "s.touch"})
-    command = [sys.executable, "-m", "harness.importing", str(mapping), "--results", str(tmp_path / "r")]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    told = [line for line in answer.stderr.splitlines() if line.startswith("warning: ")]
-    assert len(told) == 1 and told[0].startswith("warning: angle has values of the setpoint"), answer.stderr
-
-
 def test_the_page_tells_what_never_changes(tmp_path):
     three_trials(tmp_path, **FAST)
     imported(tmp_path, format="csv", modalities=TWO | {"both": ["slow.u", "fast.x"]}, streams=STREAMS)

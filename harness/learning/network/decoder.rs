@@ -92,8 +92,8 @@ struct Hidden {
 impl PerceptronDecoder {
     fn hidden(&self, latent: &Tensor, action: Option<&Tensor>) -> Result<Hidden> {
         let condition = match action {
-            Some(action) => Tensor::cat(&[latent, action], 1)?,
-            None => latent.clone(),
+            Some(action) if self.condition[1] > 0 => Tensor::cat(&[latent, action], 1)?,
+            _ => latent.clone(),
         };
         let vectors = match &self.shared {
             Some(shared) => shared.forward(&condition, true)?,

@@ -35,6 +35,7 @@ pub const ACTION: &str = "action";
 /// The memory's layer, `[batch, width]`. It takes `encoded` (the encoder's last layer; zero for a sample that is not
 /// seen), `seen` (1 for a sample that is seen, and 0 otherwise), and the normalized action before the sample (zero
 /// before the first one). That of a recurrent state-space model takes the last latent state and the action after it.
+/// Neither takes an action if the dataset has no setpoint.
 pub const MEMORY: &str = "memory";
 /// Value that the memory is given: the encoder's last layer.
 pub const ENCODED: &str = "encoded";
@@ -59,7 +60,7 @@ pub struct Description {
     /// The observation that the encoder takes, in the order of the network. Empty without an encoder.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub inputs: Vec<Quantity>,
-    /// The action that the decoder takes; `None` if it takes none.
+    /// The action that the decoder or the memory takes; `None` if neither takes one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action: Option<ActionTaken>,
     /// The observation that the decoder returns, in the order of the network.
@@ -179,7 +180,7 @@ pub struct Predicted {
     pub threshold: Option<f32>,
 }
 
-/// The action that a decoder takes.
+/// The action that a decoder or a memory takes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ActionTaken {
     /// `increment`: the setpoint of the next sample minus that of this one. `target`: the setpoint of the next sample.
@@ -416,13 +417,15 @@ impl Description {
             true if !memory.is_empty() => FORMAT_WITH_MEMORY,
             _ => FORMAT,
         };
+        let remembers_action = encodes && !memory.is_empty() && !architecture.layout.action().is_empty();
+        let takes_action = architecture.action > 0 || remembers_action;
         Ok(Self {
             format,
             task: task.name(),
             latent: architecture.latent,
             images: Images::default(),
             inputs: if encodes { inputs } else { Vec::new() },
-            action: (architecture.action > 0).then(|| ActionTaken {
+            action: takes_action.then(|| ActionTaken {
                 form: action,
                 elements: architecture.layout.action().to_vec(),
                 scale: Scale::of(ACTION),

@@ -124,7 +124,7 @@ impl Unit for Gru {
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let (cell, joined) = (self.cell.layer(&Inputs::NAMES), self.inputs.joined(self.cell.width));
+        let (cell, joined) = (self.cell.layer(&self.inputs.names()), self.inputs.joined(self.cell.width));
         Ok(vec![cell, joined, self.posterior.layer(POSTERIOR, JOINED, false)?])
     }
 }

@@ -1,6 +1,6 @@
 //! The memory of a recurrent state-space model.
 
-use super::description::{ACTION, LATENT, Layer, MEMORY, POSTERIOR, PRIOR};
+use super::description::{LATENT, Layer, MEMORY, POSTERIOR, PRIOR};
 use super::gru::Cell;
 use super::layers::{Builder, Perceptron};
 use super::unit::{Inputs, JOINED, Unit, memory_of};
@@ -100,7 +100,7 @@ impl Unit for Rssm {
     }
 
     fn layers(&self) -> Result<Vec<Layer>> {
-        let mut layers = vec![self.cell.layer(&[LATENT, ACTION])];
+        let mut layers = vec![self.cell.layer(&self.inputs.named(&[LATENT]))];
         layers.extend(self.prior.layers(MEMORY, false)?);
         layers.push(self.inputs.joined(self.cell.width));
         layers.extend(self.posterior.layers(JOINED, false)?);

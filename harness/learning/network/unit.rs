@@ -34,22 +34,29 @@ pub(super) trait Unit: Send + Sync {
     fn layers(&self) -> Result<Vec<Layer>>;
 }
 
-/// What a memory takes of each sample: the encoded sample, whether there is one, and the action before it. For a sample
-/// that is not seen, the encoded sample is zero.
+/// What a memory takes of each sample: the encoded sample, whether there is one, and the action before it, if there are
+/// actions. For a sample that is not seen, the encoded sample is zero.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Inputs {
     /// Width of an encoded sample.
     pub encoded: usize,
-    /// Width of the action.
+    /// Width of the action; 0 without actions.
     pub action: usize,
 }
 
 impl Inputs {
-    /// Names of the parts.
-    pub const NAMES: [&str; 3] = [ENCODED, SEEN, ACTION];
-
     pub fn new(architecture: &Architecture) -> Self {
-        Self { encoded: 2 * architecture.latent, action: architecture.action }
+        Self { encoded: 2 * architecture.latent, action: architecture.layout.action().len() }
+    }
+
+    /// Returns these names, with that of the action if there are actions.
+    pub fn named(self, names: &[&'static str]) -> Vec<&'static str> {
+        names.iter().copied().chain((self.action > 0).then_some(ACTION)).collect()
+    }
+
+    /// Names of the parts.
+    pub fn names(self) -> Vec<&'static str> {
+        self.named(&[ENCODED, SEEN])
     }
 
     /// The width of all parts side by side.
@@ -68,7 +75,8 @@ impl Inputs {
                 Tensor::zeros((rows, 1), DType::F32, device)?,
             ),
         };
-        Tensor::cat(&[&encoded, &seen, &actions], 1)
+        let parts = [&encoded, &seen].into_iter().chain((self.action > 0).then_some(&actions));
+        Tensor::cat(&parts.collect::<Vec<_>>(), 1)
     }
 
     /// Describes the value of the memory and the encoded sample side by side.
@@ -76,10 +84,11 @@ impl Inputs {
         Layer::concatenate(JOINED, &[MEMORY, ENCODED], memory + self.encoded)
     }
 
-    /// Returns the action before each sample, `[times * batch, action]`; zero before an episode's first sample.
+    /// Returns the action before each sample, `[times * batch, action]`; zero before an episode's first sample. Without
+    /// actions, it has one column, which is not taken.
     pub fn actions(self, state: &State, between: Option<&Tensor>) -> Result<Tensor> {
         let (batch, device) = (state.latent.dim(0)?, state.latent.device());
-        let zeros = || Tensor::zeros((batch, self.action), DType::F32, device);
+        let zeros = || Tensor::zeros((batch, self.action.max(1)), DType::F32, device);
         let first = state.action.clone().map_or_else(zeros, Ok)?;
         match between {
             Some(between) => Tensor::cat(&[&first, between], 0),

@@ -69,7 +69,7 @@ impl Unit for LastSamples {
         let last = Layer {
             name: MEMORY.into(),
             operation: Operation::LastSamples { samples: self.samples },
-            inputs: Inputs::NAMES.map(String::from).to_vec(),
+            inputs: self.inputs.names().into_iter().map(String::from).collect(),
             output: vec![self.samples * self.inputs.width()],
             parameters: 0,
         };

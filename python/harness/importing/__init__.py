@@ -11,7 +11,7 @@ defines which columns of the recording make up which modality:
     source: recordings              # a LeRobot dataset's folder, a Parquet file, or a folder of Parquet files
     format: lerobot                 # or parquet
     modalities:
-      setpoint: action                            # where the robot was commanded to be at the sample; required
+      setpoint: action                            # where the robot was commanded to be at the sample; or `none`
       proprioception: observation.state[0:20]     # elements of a column of lists
       arm: [rotation, lift, extension]            # several columns
       contact_force: force_??                     # all columns that match a pattern of * and ?, in the file's order
@@ -39,8 +39,8 @@ The formats csv, hdf5, zarr, matlab and ros2 have streams with times of their ow
 docs/exchange.md describes their keys. The import also writes a page with plots of every modality, and
 `harness import --inspect FILE` writes a first mapping.
 
-`source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. Vectors may have
-any width. The names of the finger's modalities have a fixed meaning. Their values must be in rad, m and N, after they
+`source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. `setpoint: none`
+is a recording without commands, whose models get no action. Vectors may have any width. The names of the finger's modalities have a fixed meaning. Their values must be in rad, m and N, after they
 have been multiplied by `scale`. `vision` is an image, which is resized to 64 x 64 pixels unless it has a `size`. A
 recording needs at least 3 episodes, each with at least 2 samples.
 
@@ -57,10 +57,12 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from harness import _harness
 from harness.recorded import Episode
 
 try:
@@ -113,7 +115,10 @@ def import_dataset(
         >>> import_dataset("lab.yaml", progress=False)
         'lab-...'
     """
-    return run_import(Path(mapping), Path(results), progress).name
+    done = run_import(Path(mapping), Path(results), progress)
+    for note in done.notes:
+        warnings.warn(f"{done.name}: {note}", stacklevel=2)
+    return done.name
 
 
 @dataclass(frozen=True)
@@ -126,8 +131,8 @@ class Import:
     """The recording, whose episodes are read."""
     page: Path
     """The page with plots."""
-    commanded: list[str]
-    """The modalities that seem to have the values of the setpoint."""
+    notes: list[str]
+    """What may be wrong with the dataset, in sentences."""
 
 
 def run_import(path: Path, results: Path, progress: bool) -> Import:
@@ -141,8 +146,9 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
     episodes = _episodes(path, mapping, recording, sketch, progress)
     name = write_dataset(mapping, recording.sample_rate_hz, episodes, results, progress)
     page = results / "imports" / f"{name}.html"
-    write_page(page, name, mapping, recording, sketch)
-    return Import(name, recording, page, sorted(sketch.commanded or []))
+    notes = _harness.recording_notes(results / "datasets", name)
+    write_page(page, name, mapping, recording, sketch, notes)
+    return Import(name, recording, page, notes)
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:

@@ -65,12 +65,8 @@ def _import(mapping: Path, results: Path) -> None:
         print("\n".join(table(done.recording)))
     if done.recording.left_out:
         print(f"{done.recording.left_out} samples are left out, because a stream has a gap there")
-    for name in done.commanded:
-        print(
-            f"warning: {name} has values of the setpoint at every sample; if they were measured, the action tells the next "
-            f"sample of {name}; a setpoint is what was commanded",
-            file=sys.stderr,
-        )
+    for note in done.notes:
+        print(f"warning: {note}", file=sys.stderr)
     print(f"{done.page}: plots of every modality; open it to see whether the mapping is right")
     print(f"{done.name}: in {results / 'datasets' / done.name}; train on it with 'scenarios=[{done.name}]'")
 

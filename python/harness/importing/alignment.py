@@ -141,7 +141,7 @@ def plan(take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, 
         usable &= ~_in_gaps(stream, sampling.streams[name], samples, sampling.split_at_gaps)
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]])))
     most = max(2, int(min(sampling.max_episode_s * rate + 1e-6, len(samples))))
-    least = 2 + mapping.selections["setpoint"].shift
+    least = 2 + mapping.shift
     spans, left_out = [], int((~usable).sum())
     for first, last in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
         for begin in range(first, last, most):
@@ -203,18 +203,29 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
         stream = take.streams[name]
         if column in pictures:
             rows = latest(stream.times, span.times(sampling.sample_rate_hz))
-            columns[column] = _repeated(stream, column, rows)
+            columns[column] = Pictures(stream, column, rows)
         else:
             columns[column] = _aligned(stream, column, span, sampling, sampling.streams[name].align)
     return columns
 
 
-def _repeated(stream: Stream, column: str, rows: np.ndarray) -> Iterator[Any]:
-    """Yields the picture of each sample, uint8 [rows, columns, 3] or [rows, columns]. Reads each picture once."""
-    distinct, counts = np.unique(rows, return_counts=True)
-    pictures = stream.pictures(column, distinct)
-    for row, picture, count in zip(distinct.tolist(), pictures, counts.tolist(), strict=True):
-        yield from itertools.repeat(_decoded(picture, stream, row), count)
+@dataclass(frozen=True)
+class Pictures:
+    """The picture of each sample, uint8 [rows, columns, 3] or [rows, columns]. Each is read once, while iterating."""
+
+    stream: Stream
+    column: str
+    rows: np.ndarray
+    """The row of each sample's picture."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Any]:
+        distinct, counts = np.unique(self.rows, return_counts=True)
+        pictures = self.stream.pictures(self.column, distinct)
+        for row, picture, count in zip(distinct.tolist(), pictures, counts.tolist(), strict=True):
+            yield from itertools.repeat(_decoded(picture, self.stream, row), count)
 
 
 def _decoded(picture: Any, stream: Stream, row: int) -> np.ndarray:

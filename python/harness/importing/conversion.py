@@ -33,8 +33,9 @@ def episode_of(
     Raises:
         MappingError: it is too short, or a value does not fit its modality.
     """
-    selections, shift = mapping.selections, mapping.selections["setpoint"].shift
-    rows = len(columns[selections["setpoint"].columns(list(columns))[0]])
+    selections, shift = mapping.selections, mapping.shift
+    first = next(iter(selections.values())).columns(list(columns))[0]
+    rows = len(columns[first])
     samples = rows - shift
     if samples < 2:
         left_out = " after its first row, which is left out" if shift else ""

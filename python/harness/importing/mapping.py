@@ -235,7 +235,7 @@ class Mapping:
     format: str
     """One of FORMATS."""
     selections: dict[str, Selection]
-    """The columns of each modality, by its name."""
+    """The columns of each modality, by its name. A recording without commands has no `setpoint`."""
     rows: Rows | None
     """Set for Parquet files only."""
     sampling: Sampling | None
@@ -267,6 +267,12 @@ class Mapping:
         return cls(text["name"], source, text["format"], selections, rows, sampling, text)
 
 
+    @property
+    def shift(self) -> int:
+        """How many rows the setpoint is moved: 1 if each row has that of the next sample."""
+        return self.selections["setpoint"].shift if "setpoint" in self.selections else 0
+
+
 def _sampling(text: dict[str, Any]) -> Sampling:
     return Sampling(
         sample_rate_hz=float(text["sample_rate_hz"]),
@@ -294,6 +300,7 @@ def _stream(name: str, keys: dict[str, Any], text: dict[str, Any]) -> StreamSett
 
 def _selections(modalities: dict[str, Any], kind: str) -> dict[str, Selection]:
     # The finger's modalities come first, in their order, so that a dataset of the finger has the same columns.
+    modalities = {name: value for name, value in modalities.items() if (name, value) != ("setpoint", "none")}
     given = [name for name in KNOWN if name in modalities]
     return {name: _selection(name, modalities[name], kind) for name in dict.fromkeys([*given, *modalities])}
 

@@ -53,8 +53,6 @@ class Sketch:
     """The samples of each episode."""
     ranges: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     """The least, the largest and the sum of each element of each vector."""
-    commanded: set[str] | None = None
-    """The vectors with an element that equals an element of the setpoint at all samples."""
 
     @classmethod
     def of(cls, recording: Recording) -> Sketch:
@@ -70,9 +68,6 @@ class Sketch:
             if known is not None and len(known[0]) == len(low):
                 low, high, total = np.minimum(low, known[0]), np.maximum(high, known[1]), total + known[2]
             self.ranges[name] = (low, high, total)
-        setpoints = episode.vectors.get("setpoint", np.empty((0, 0))).T
-        same = {name for name, values in episode.vectors.items() if name != "setpoint" and _shares(values.T, setpoints)}
-        self.commanded = same if self.commanded is None else self.commanded & same
         if episode.index in self.shown:
             samples = np.unique(np.linspace(0, len(episode) - 1, FRAMES).round().astype(int))
             images = {name: frames[samples] for name, frames in episode.images.items()}
@@ -80,13 +75,10 @@ class Sketch:
             self.image_samples.append(samples)
 
 
-def _shares(values: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a row of one array is a row of the other, and changes."""
-    return any(np.ptp(row) > 0 and (others == row).all(axis=1).any() for row in values)
-
-
-def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sketch: Sketch) -> None:
-    """Writes the page of an imported dataset.
+def write_page(
+    path: Path, name: str, mapping: Mapping, recording: Recording, sketch: Sketch, notes: list[str]
+) -> None:
+    """Writes the page of an imported dataset. The notes are what may be wrong with it.
 
     Raises:
         OSError: the file can't be written.
@@ -98,6 +90,7 @@ def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sk
         f"({duration(samples / recording.sample_rate_hz)}), from {html.escape(str(mapping.source))}. Each episode has "
         f"{least if least == most else f'{least} to {most}'} samples.</p>",
     ]
+    parts += [f'<p class="warning">{html.escape(note[0].upper() + note[1:])}.</p>' for note in notes]
     if recording.left_out:
         parts.append(
             f'<p class="warning">{recording.left_out} samples are left out, because a stream has a gap there.</p>'
