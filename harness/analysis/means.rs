@@ -49,7 +49,7 @@ pub struct Of {
     pub settings: String,
     /// The values of the settings by which means are told apart.
     pub values: BTreeMap<&'static str, String>,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction. `None` for a skill horizon, and
+    /// Number of samples from the present to the predicted one; 0 for the present one. `None` for a skill horizon, and
     /// for what judges the latent state.
     pub horizon: Option<usize>,
     /// Size of the latent state; `None` for a baseline and an external model, which have none.

@@ -184,10 +184,15 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
         }
         Table::AllMetrics | Table::AllPredictions => {
             let done = done();
-            let usual = table.usual().map(|usual| run_table(registry, usual, table, &done, query));
-            let usual = usual.transpose()?.flatten().map(|rows| with_distance(rows, table));
-            let further = run_table(registry, table, table, &done, query)?;
-            one_after_the_other(usual.into_iter().chain(further).collect())?
+            let mut frames = Vec::new();
+            for (horizon, usual) in [1, 0].into_iter().flat_map(|horizon| Some((horizon, table.usual()?))) {
+                let is_of = |run: &&&RunRecord| run.spec.window.first_horizon() == horizon;
+                let runs: Vec<&RunRecord> = done.iter().filter(is_of).copied().collect();
+                let rows = run_table(registry, usual, table, &runs, query)?;
+                frames.extend(rows.map(|rows| with_distance(rows, table, horizon)));
+            }
+            frames.extend(run_table(registry, table, table, &done, query)?);
+            one_after_the_other(frames)?
         }
     };
     Ok(found.unwrap_or_else(|| empty(&table.columns())))
@@ -219,10 +224,12 @@ fn each_once(columns: impl Iterator<Item = Column>) -> Vec<Column> {
     columns.filter(|column| names.insert(column.name.clone())).collect()
 }
 
-/// The rows of a usual table in the form of the table `of`, which has all rows: with their horizons.
-fn with_distance(rows: LazyFrame, of: Table) -> LazyFrame {
+/// The rows of a usual table in the form of the table `of`, which has all rows: with their horizons. That of
+/// predictions is `horizon`.
+fn with_distance(rows: LazyFrame, of: Table, horizon: usize) -> LazyFrame {
     let is_reconstruction = col("task").eq(lit(Task::Reconstruction.name()));
-    let horizon = when(is_reconstruction).then(lit(0)).otherwise(lit(1)).cast(DataType::Int64).alias(HORIZON);
+    let of_task = when(is_reconstruction).then(lit(0)).otherwise(lit(horizon as i64));
+    let horizon = of_task.cast(DataType::Int64).alias(HORIZON);
     let given = lit(NULL).cast(DataType::String).alias(GIVEN);
     let columns = of.columns().into_iter().map(|column| col(column.name)).collect::<Vec<_>>();
     rows.with_columns([horizon, given]).select(columns)

@@ -43,7 +43,8 @@ pub struct Asked {
     #[arg(verbatim_doc_comment, long, value_name = "METRIC", value_delimiter = ',', value_parser = item)]
     metrics: Vec<String>,
     /// The models, separated by commas: network, which stands for all networks and models of other programs, the
-    /// baselines persistence, ridge and training_mean, or the name of a model of another program [default: all in a
+    /// baselines persistence, ridge, training_mean and nearest_neighbors, or the name of a model of another program
+    /// [default: all in a
     /// table, network in a plot]
     #[arg(long, value_name = "MODEL", value_delimiter = ',', value_parser = item)]
     models: Vec<String>,

@@ -33,8 +33,16 @@ struct Row {
     persistence: Option<f64>,
     ridge: Option<f64>,
     training_mean: Option<f64>,
+    nearest_neighbors: Option<f64>,
     /// The number of runs that the means are over.
     runs: usize,
+}
+
+impl Row {
+    /// The value of the network or the other model, and those of [`models::BASELINES`].
+    fn values(&self) -> [Option<f64>; 5] {
+        [self.own, self.persistence, self.ridge, self.training_mean, self.nearest_neighbors]
+    }
 }
 
 /// Which metrics a table has.
@@ -80,13 +88,18 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let of = |row: &Row| (place(row), row.latent, row.modality.clone(), row.direction.clone());
     rows.chunk_by_mut(|a, b| of(a) == of(b))
         .for_each(|rows| rows.sort_by_key(|row| Metric::place(&row.metric)));
+    // A baseline without any value has no column.
+    let has_values: Vec<bool> = (0..=models::BASELINES.len())
+        .map(|model| model == 0 || rows.iter().any(|row| row.values()[model].is_some()))
+        .collect();
     let row = |row: Row| {
-        let values = [row.own, row.persistence, row.ridge, row.training_mean];
+        let values = row.values();
         let number = |(value, is_best): (&Option<f64>, bool)| match value {
             Some(value) => Style::Text.number(&rounded(*value, &row.unit), None, is_best),
             None => MISSING.into(),
         };
-        let numbers = values.iter().zip(best(&row.metric, &row.unit, &values)).map(number).collect();
+        let numbers = values.iter().zip(best(&row.metric, &row.unit, &values)).map(number);
+        let numbers = numbers.zip(&has_values).filter(|(_, has)| **has).map(|(number, _)| number).collect();
         let words = vec![
             row.task,
             row.scenario,
@@ -100,7 +113,7 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     };
     let header =
         std::iter::once(predictors(&rows)).chain(models::BASELINES.map(|model| model.replace('_', " ")));
-    let header = header.collect();
+    let header = header.zip(&has_values).filter(|(_, has)| **has).map(|(name, _)| name).collect();
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let by_unit = rows.iter().any(is_part).then(|| BY_UNIT.to_owned());
     let most = rows.iter().map(|row| row.runs).max().filter(|runs| *runs > 1);
@@ -118,10 +131,9 @@ fn undefined(rows: &[Row]) -> Vec<String> {
     let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
     let mut undefined = Undefined::default();
     let lacks = |row: &&Row| {
-        let values = [row.own, row.persistence, row.ridge, row.training_mean];
         let is_whole = row.direction.as_ref().is_none_or(|part| part.starts_with("in "));
         let is_prediction = row.task == Task::Prediction.name();
-        is_prediction && is_whole && Undefined::may_lack(&row.metric) && values == [None; 4]
+        is_prediction && is_whole && Undefined::may_lack(&row.metric) && row.values() == [None; 5]
     };
     for row in rows.iter().filter(lacks) {
         let part = row.direction.iter().map(|part| format!(" {part}")).collect::<String>();

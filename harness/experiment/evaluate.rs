@@ -2,7 +2,7 @@
 
 use super::OpenData;
 use harness_judge::{
-    Given, JudgeError, MetricRow, Persistence, Predictor, Ridge, SampledWindow, Test, TrainingMean, judge,
+    Given, JudgeError, MetricRow, NearestNeighbors, Persistence, Predictor, Ridge, SampledWindow, Test, TrainingMean, judge,
     sample_windows,
 };
 use harness_learning::data::NormalizedData;
@@ -44,7 +44,8 @@ pub fn references(open: &OpenData, spec: &RunSpec) -> Result<References, JudgeEr
 /// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
 /// network's input and the actions.
 ///
-/// A reconstruction has only the training mean, because persistence would be its target.
+/// A reconstruction has only the training mean, because persistence would be its target. So it would be of an estimate
+/// of the present sample, whose vectors have the mean of the nearest neighbors instead.
 ///
 /// # Errors
 /// When a value of the dataset is not finite.
@@ -70,7 +71,7 @@ fn baselines(
         for &horizon in &horizons {
             add(&TrainingMean::fit(samples, &partition.training, modality, horizon)?)?;
         }
-        if task == Task::Prediction {
+        if task == Task::Prediction && spec.window.horizon > 0 {
             add(&Persistence { samples, modality, horizons: &horizons })?;
         }
     }
@@ -81,6 +82,11 @@ fn baselines(
             if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
                 add(&ridge)?;
             }
+        }
+        if spec.window.horizon == 0
+            && let Some(nearest) = NearestNeighbors::fit(given, &partition.training, output)?
+        {
+            add(&nearest)?;
         }
     }
     Ok(rows)

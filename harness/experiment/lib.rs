@@ -455,7 +455,7 @@ impl<'a> Runner<'a> {
                 self.progress.say(&format!("{}: {note}", spec.scenario));
             }
         }
-        for note in samples.constant_outputs(&spec.output, &partition) {
+        for note in samples.constant_outputs(&spec.output, &partition, &spec.window) {
             self.progress.say(&format!("{}: {note}", spec.scenario));
         }
         let normalizers =
@@ -604,7 +604,7 @@ impl TrainingRun<'_> {
         let test = &self.prepared.open.partition.test;
         let divergences = trained.divergences(test).map_err(LearningError::from)?;
         let model = trained.name().to_owned();
-        let row = |row| MetricRow { task, model: model.clone(), horizon: 1, given: None, row };
+        let row = |row| MetricRow { task, model: model.clone(), horizon: window.first_horizon(), given: None, row };
         outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((network, parameters))
@@ -653,8 +653,9 @@ impl TrainingRun<'_> {
         };
         let epochs = fit.run(objective, parameters)?;
         let NormalizedData { normalizers, action, .. } = &self.data;
+        let losses = &self.trained.training.losses;
         let network =
-            Description::new(architecture, task, *action, &self.trained.training.losses, normalizers)
+            Description::new(architecture, task, *action, losses, normalizers, &self.spec.window)
                 .map_err(LearningError::from)?;
         checkpoint::save(&self.claimed.checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));

@@ -139,7 +139,7 @@ impl Model {
 
     /// Returns the number of elements of the action that the network takes; 0 if it takes none.
     pub fn action_width(&self) -> usize {
-        self.record.layout.action().len()
+        self.record.spec.action_width(&self.record.layout)
     }
 
     /// Returns the mean and the log-variance of the posterior for `batch` observations, `[batch, latent]` each.

@@ -60,6 +60,9 @@ pub enum RolloutError {
         /// The window.
         window: Window,
     },
+    /// The network estimates the present sample.
+    #[error("the network of {0} estimates the present sample (window.horizon: 0), so it predicts no later one")]
+    Estimate(String),
     /// The network has no memory and does not predict all of its inputs.
     #[error(
         "the network of {run} has no memory, so it predicts further than one sample from its own predictions, and \
@@ -107,6 +110,9 @@ pub fn rollout(
 ) -> Result<Rollout, RolloutError> {
     let (folder, record, trained) = finished(registry, wanted)?;
     let spec = &record.spec;
+    if spec.window.horizon == 0 {
+        return Err(RolloutError::Estimate(record.run));
+    }
     let lacking = spec.input.iter().find(|modality| !spec.output.contains(modality));
     if let Some(&lacking) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
         return Err(RolloutError::NoFeedback { run: record.run, lacking });

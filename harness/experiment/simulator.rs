@@ -24,6 +24,11 @@ pub enum SimulatorError {
         /// The output.
         modality: Modality,
     },
+    /// The task asks for the present sample.
+    #[error(
+        "the simulator predicts from the present sample, which the task asks for; use a window.horizon of at least 1"
+    )]
+    Present,
     /// The simulation does not give the samples of the dataset.
     #[error(
         "episode {episode} of {dataset} is not what the simulation gives, so it can't be simulated on from there"
@@ -61,6 +66,9 @@ pub(super) fn simulated(
         return Err(SimulatorError::Output { modality }.into());
     }
     let horizons = spec.window.horizons();
+    if spec.window.horizon == 0 {
+        return Err(SimulatorError::Present.into());
+    }
     let of_episodes: Vec<&[Sample]> =
         windows.chunk_by(|a, b| samples.place(*a).0 == samples.place(*b).0).collect();
     progress.begin("simulating", of_episodes.len() as u64, "episodes");

@@ -186,7 +186,9 @@ fn draw_rows(
 
 /// The positions of horizons in a panel, on a logarithmic axis, points.
 fn centers(panel: &Panel, horizons: &[usize]) -> Vec<f64> {
-    let logarithm = |horizon: &usize| (*horizon as f64).ln();
+    // The present sample, at horizon 0, has no logarithm.
+    let shift = usize::from(horizons.contains(&0));
+    let logarithm = |horizon: &usize| ((*horizon + shift) as f64).ln();
     let (first, last) = (horizons.first().map_or(0.0, logarithm), horizons.last().map_or(1.0, logarithm));
     let room = panel.width - 2.0 * MARGIN;
     let at = |horizon: &usize| panel.left + MARGIN + room * (logarithm(horizon) - first) / (last - first);

@@ -2,6 +2,7 @@
 //! of the tables. This crate knows no networks: those that were trained are predictors of the crate `learning`.
 
 mod frames;
+mod nearest;
 mod persistence;
 mod recorded;
 mod ridge;
@@ -9,6 +10,7 @@ mod rows;
 mod training_mean;
 
 pub use frames::{SampledWindow, picture, sample_windows};
+pub use nearest::NearestNeighbors;
 pub use persistence::Persistence;
 pub use recorded::{Asked, Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
@@ -34,10 +36,12 @@ pub mod models {
     pub const RIDGE: &str = "ridge";
     /// The mean of the training samples.
     pub const TRAINING_MEAN: &str = "training_mean";
+    /// The mean of the training samples with the nearest input, for estimates of the present sample.
+    pub const NEAREST_NEIGHBORS: &str = "nearest_neighbors";
     /// The baselines.
-    pub const BASELINES: [&str; 3] = [PERSISTENCE, RIDGE, TRAINING_MEAN];
+    pub const BASELINES: [&str; 4] = [PERSISTENCE, RIDGE, TRAINING_MEAN, NEAREST_NEIGHBORS];
     /// All that the harness has. Models of other programs have names of their own.
-    pub const ALL: [&str; 4] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN];
+    pub const ALL: [&str; 5] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN, NEAREST_NEIGHBORS];
 
     /// The names of the baselines as a list of SQL.
     pub fn baselines_in_sql() -> String {
@@ -65,7 +69,7 @@ pub enum JudgeError {
 pub struct Predicted {
     /// The predicted modality.
     pub modality: Modality,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    /// Number of samples from the present to the predicted one; 0 for the present one.
     pub horizon: usize,
     /// Predicted values in physical units, `[windows, width]`; images channel by channel. They are the means of the
     /// ensemble if there is one.

@@ -45,8 +45,7 @@ impl<'a> Ridge<'a> {
         horizon: usize,
     ) -> Result<Option<Self>, JudgeError> {
         let layout = given.samples.layout();
-        let output: Vec<Modality> =
-            output.iter().copied().filter(|modality| !layout[*modality].is_image()).collect();
+        let output = vectors_in(given.samples, output);
         if output.is_empty() {
             return Ok(None);
         }
@@ -83,7 +82,7 @@ impl Predictor for Ridge<'_> {
 impl Given<'_> {
     /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the next `horizon` actions, the vectors, and
     /// the images reduced to small gray ones.
-    fn values(&self, at: &[Sample], horizon: usize) -> Result<Vec<f32>, MetricsError> {
+    pub(super) fn values(&self, at: &[Sample], horizon: usize) -> Result<Vec<f32>, MetricsError> {
         let Given { samples, normalizers, action, input } = *self;
         let vectors = normalizers.vectors(samples, at, input);
         let steps = |sample: &Sample| (0..horizon).map(|step| sample.after(step)).collect::<Vec<_>>();
@@ -107,14 +106,25 @@ impl Given<'_> {
     }
 }
 
+/// Returns the vectors among modalities.
+pub(super) fn vectors_in(samples: &Samples, modalities: &[Modality]) -> Vec<Modality> {
+    let layout = samples.layout();
+    modalities.iter().copied().filter(|modality| !layout[*modality].is_image()).collect()
+}
+
 /// Returns one of the rows of a matrix.
-fn row_of(values: &[f32], row: usize, rows: usize) -> &[f32] {
+pub(super) fn row_of(values: &[f32], row: usize, rows: usize) -> &[f32] {
     let width = values.len() / rows;
     &values[row * width..][..width]
 }
 
 /// Returns the vectors `horizon` samples after those in `at`, side by side.
-fn side_by_side(samples: &Samples, vectors: &[Modality], at: &[Sample], horizon: usize) -> Vec<f32> {
+pub(super) fn side_by_side(
+    samples: &Samples,
+    vectors: &[Modality],
+    at: &[Sample],
+    horizon: usize,
+) -> Vec<f32> {
     let later = |sample: &Sample| {
         let later = sample.after(horizon);
         vectors.iter().flat_map(move |modality| samples.vector(*modality, later).iter().copied())

@@ -12,7 +12,7 @@ pub struct MetricRow {
     pub task: Task,
     /// The predictor's name: `network`, or that of a baseline or a model of another program.
     pub model: String,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    /// Number of samples from the present to the predicted one; 0 for the present one.
     pub horizon: usize,
     /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
     pub given: Option<&'static str>,
@@ -25,7 +25,7 @@ pub struct MetricRow {
 pub struct PredictionRow {
     /// The task that is evaluated.
     pub task: Task,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    /// Number of samples from the present to the predicted one; 0 for the present one.
     pub horizon: u32,
     /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
     pub given: Option<&'static str>,

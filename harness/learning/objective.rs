@@ -47,8 +47,9 @@ pub trait Objective {
     fn detached(&self) -> Box<dyn Objective + '_>;
 }
 
-/// Predicts the next samples of each that the network has seen, as many as the window's horizon. The terms are the mean
-/// loss of each output modality, in which further samples may weigh less, and the weighted KL divergence.
+/// Predicts the next samples of each that the network has seen, as many as the window's horizon, or estimates the sample
+/// itself if the horizon is 0. The terms are the mean loss of each output modality, in which further samples may weigh
+/// less, and the weighted KL divergence.
 ///
 /// A network without memory sees only the present sample, however long the context is.
 pub struct Prediction<'a> {
@@ -76,8 +77,8 @@ impl Objective for Prediction<'_> {
             let values = data.targets(of, present, self.output)?;
             network.losses(state, Targets { values: &values, losses: &training.losses, parts, added: None })
         };
-        let next = losses(&state, &after(&seen, 1), &seen, 1)?;
-        let further = window.horizon - 1;
+        let next = losses(&state, &after(&seen, window.first_horizon()), &seen, 1)?;
+        let further = self.further();
         let terms = if further == 0 {
             next
         } else {
@@ -95,11 +96,11 @@ impl Objective for Prediction<'_> {
 
     fn indices(&self, at: &[Sample]) -> Result<Vec<Vec<u32>>> {
         let (burned, seen) = (times(at, self.trained()..self.context()), times(at, 0..self.trained()));
-        let further = self.window.horizon - 1;
+        let further = self.further();
         let present =
             if self.data.normalizers.changes.is_empty() { Vec::new() } else { seen.repeat(further) };
         let taken =
-            [burned, after(&seen, 1), later(&seen, 1, further), later(&seen, 2, further), present, seen];
+            [burned, after(&seen, self.window.first_horizon()), later(&seen, 1, further), later(&seen, 2, further), present, seen];
         Ok(taken.iter().map(|at| indices(at)).collect())
     }
 
@@ -108,7 +109,7 @@ impl Objective for Prediction<'_> {
     }
 
     fn predicted(&self) -> usize {
-        let further = (self.trained() * (self.window.horizon - 1)).div_ceil(self.training.rollout_stride);
+        let further = (self.trained() * self.further()).div_ceil(self.training.rollout_stride);
         self.trained() + further
     }
 
@@ -137,6 +138,11 @@ impl Prediction<'_> {
             1 => 1,
             context => context - self.training.burn_in,
         }
+    }
+
+    /// Returns the number of samples that are predicted after the first one.
+    fn further(&self) -> usize {
+        self.window.horizon.saturating_sub(1)
     }
 
     /// Returns the state before the first sample on which the network is trained, without gradients; `None` without

@@ -293,7 +293,8 @@ impl TrainedNetwork<'_> {
         spreads.iter().map(of).collect()
     }
 
-    /// Passes on what the network predicts at each judged horizon from the state at the present samples `at`.
+    /// Passes on what the network predicts at each judged horizon from the state at the present samples `at`, or what it
+    /// estimates of these samples if the horizon is 0.
     fn each_horizon(
         &self,
         mut state: State,
@@ -301,6 +302,10 @@ impl TrainedNetwork<'_> {
         receive: &mut dyn FnMut(usize, Decoded, Spreads) -> std::result::Result<(), JudgeError>,
     ) -> std::result::Result<(), JudgeError> {
         let horizons = self.window.horizons();
+        if self.window.horizon == 0 {
+            let decoded = self.network.decode(&state).map_err(failed)?;
+            return receive(0, decoded, self.network.spreads(&state).map_err(failed)?);
+        }
         for horizon in 1..=self.window.horizon {
             let now = after(at, horizon - 1);
             let next = || self.network.act(&state, &self.data.actions(&now)?);

@@ -23,7 +23,7 @@ pub struct OwnMetric {
 pub struct OwnValue {
     /// The predicted modality.
     pub modality: Modality,
-    /// Number of samples from the present to the predicted one; 0 for a reconstruction.
+    /// Number of samples from the present to the predicted one; 0 for the present one.
     pub horizon: usize,
     /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
     pub given: Option<String>,
@@ -67,7 +67,7 @@ fn with_values(
     values: Vec<&OwnValue>,
 ) -> Result<Option<DataFrame>, RegistryError> {
     let own =
-        record.with_key(own_columns(table, metric, &values, record.predictor())).map_err(TableError::from)?;
+        record.with_key(own_columns(table, metric, &values, record)).map_err(TableError::from)?;
     if !record.has(table) {
         return Ok((own.height() > 0).then_some(own));
     }
@@ -80,10 +80,16 @@ fn with_values(
 }
 
 /// The columns of the table `metrics` or `all_metrics`, without those of the run, for a user's metric.
-/// `model` is the name of the model that predicted.
-fn own_columns(table: Table, metric: &OwnMetric, values: &[&OwnValue], model: &str) -> Vec<Column> {
+/// `record` is that of the run.
+fn own_columns(table: Table, metric: &OwnMetric, values: &[&OwnValue], record: &RunRecord) -> Vec<Column> {
     let none = |_: &&OwnValue| None::<&str>;
-    let task = |value: &&OwnValue| if value.horizon == 0 { Task::Reconstruction } else { Task::Prediction };
+    let (model, spec) = (record.predictor(), &record.spec);
+    // No output is an input where the present sample is estimated.
+    let is_predicted = |value: &&OwnValue| {
+        value.horizon > 0 || spec.window.horizon == 0 && spec.output.contains(&value.modality)
+    };
+    let task =
+        |value: &&OwnValue| if is_predicted(value) { Task::Prediction } else { Task::Reconstruction };
     let mut columns = vec![
         column_of(values, "task", |value| task(value).name()),
         column_of(values, "model", |_| model),

@@ -440,7 +440,7 @@ function showHorizon(place) {
 }
 
 function horizonSeries(curve, index) {
-  const isBaseline = ["persistence", "ridge", "training_mean"].includes(curve.model);
+  const isBaseline = ["persistence", "ridge", "training_mean", "nearest_neighbors"].includes(curve.model);
   const unit = curve.unit === "1" ? "" : ` ${curve.unit}`;
   const ahead = (horizon) => (curve.seconds === null ? `${horizon} samples ahead` : `${shown(horizon * curve.seconds)} s ahead`);
   const points = curve.points.map(([horizon, mean, ...bounds]) => ({

@@ -1,7 +1,7 @@
 //! Modalities that do not change, which no metric of explained variance is defined for.
 
 use super::{Partition, Sample, Samples, after, physical};
-use harness_spec::Modality;
+use harness_spec::{Modality, Window};
 
 /// Number of samples whose values are compared at once.
 const AT_ONCE: usize = 256;
@@ -9,11 +9,11 @@ const AT_ONCE: usize = 256;
 impl Samples {
     /// Returns a sentence for each of these outputs that is the same in all training or all test samples, such as
     /// `contact_force is 0 in all test samples, so its r2 is not defined`. Images that were not loaded are left out.
-    pub fn constant_outputs(&self, outputs: &[Modality], partition: &Partition) -> Vec<String> {
+    pub fn constant_outputs(&self, outputs: &[Modality], partition: &Partition, window: &Window) -> Vec<String> {
         let sentence = |output: &Modality| {
             let metric = if self.layout[*output].is_image() { "relative_error" } else { "r2" };
-            let test = self.constant(*output, &after(&partition.test, 1));
-            let training = self.constant(*output, &after(&partition.training, 1));
+            let test = self.constant(*output, &after(&partition.test, window.first_horizon()));
+            let training = self.constant(*output, &after(&partition.training, window.first_horizon()));
             match (test, training) {
                 (Some(is), _) => {
                     Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))

@@ -222,6 +222,11 @@ impl RunSpec {
         digits(&format!("{} {dataset}", task.hash()))
     }
 
+    /// Returns the number of elements of the action that a decoder gets. An estimate of the present sample gets none.
+    pub fn action_width(&self, layout: &Layout) -> usize {
+        if self.window.horizon == 0 { 0 } else { layout.action().len() }
+    }
+
     /// Returns the input and output modalities, without duplicates, in the order of [`Modality`].
     pub fn modalities(&self) -> Vec<Modality> {
         let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();

@@ -45,6 +45,12 @@ pub fn schema() -> Json {
     if let Some(other) = modality["oneOf"].as_array_mut().and_then(|choices| choices.last_mut()) {
         other["not"] = named; // so that a name fits one choice only
     }
+    let horizon = &mut schema["$defs"]["Window"]["properties"]["horizon"];
+    let one = json!({ "type": "integer", "minimum": horizon["minimum"], "maximum": horizon["maximum"] });
+    *horizon = json!({
+        "description": horizon["description"], "default": horizon["default"],
+        "anyOf": [one, { "type": "array", "items": one, "minItems": 2, "uniqueItems": true }],
+    });
     allow_single_values(&mut schema);
     add_extends(&mut schema);
     schema

@@ -584,8 +584,9 @@ pub struct Window {
     pub start: WindowStart,
     /// Number of samples after the present one that the model predicts, one from the other. The tables `metrics` and
     /// `predictions` contain those of the first one, and `all_metrics` and `all_predictions` also those at 2, 5, 10,
-    /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon.
-    #[schemars(range(min = 1, max = MAX_WINDOW))]
+    /// 20, 50, 100, 200 and 500 samples, as far as the horizon goes, and at the horizon. With 0, the model estimates the
+    /// outputs at the present sample. A list is short for `vary: {window.horizon: [0, 1, 5]}`.
+    #[schemars(range(max = MAX_WINDOW))]
     #[default(1)]
     pub horizon: usize,
     /// Times since the start of an episode, in whole seconds. The predicted samples from each of them on have metrics
@@ -615,6 +616,12 @@ impl Window {
             WindowStart::Random => self.clone(),
             WindowStart::Rest => self.of_one_sample(),
         }
+    }
+
+    /// Returns the horizon whose predictions the tables `metrics` and `predictions` have: the next sample, or the present
+    /// one if that is estimated.
+    pub fn first_horizon(&self) -> usize {
+        self.horizon.min(1)
     }
 
     /// Returns the number of samples in a window.

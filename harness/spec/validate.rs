@@ -570,9 +570,9 @@ fn scaling(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses a window that does not fit into an episode.
+/// Refuses a window that does not fit into an episode, or whose task is to return what is given.
 fn window(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { window, simulation, scenarios, split, .. } = experiment;
+    let Experiment { window, simulation, scenarios, split, input, output, .. } = experiment;
     let samples = simulation.samples_per_episode();
     let is_simulated = scenarios.iter().any(|origin| experiment.world(origin).is_some());
     if is_simulated && window.samples() > samples {
@@ -583,6 +583,19 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
                 "a window of {} and {} samples does not fit into an episode of {samples}; use a shorter window or more \
                  actuations_per_episode",
                 window.context, window.horizon
+            ),
+        );
+    }
+    if window.horizon == 0
+        && let Some(index) = output.iter().position(|modality| input.contains(modality))
+    {
+        let modality = &output[index];
+        return fault(
+            format!("output.{index}"),
+            format!(
+                "with window.horizon: 0, the output '{modality}' is estimated at the sample of the input '{modality}', \
+                 so a model would return what it is given; leave it out of one of them, or predict ahead with \
+                 window.horizon: 1"
             ),
         );
     }
@@ -611,7 +624,7 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
 fn memory(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { window, simulation, input, output, network, training, split, .. } = experiment;
     let has_memory = network.memory != Memory::None;
-    if has_memory && window.context == 1 && window.horizon == 1 {
+    if has_memory && window.context == 1 && window.horizon <= 1 {
         return fault(
             "window.context",
             format!(

@@ -8,11 +8,14 @@ use harness_yaml::{Entry, Node, Problem, Value, unknown};
 pub(super) const VARY: &str = "vary";
 /// Name of the axis whose labels claims compare under `readings`.
 pub(super) const ROLE: &str = "role";
+/// The setting whose list of values is short for an axis.
+const HORIZON: &str = "window.horizon";
 /// The key of the modalities that the encoder gets.
 const INPUT: &str = "input";
 
 /// Completes the axes of a spec and those under its `quick`.
 ///
+/// - A list of horizons becomes the first axis.
 /// - A label gets the settings of the label that it extends. Its own replace them.
 /// - `input: {without: each}` becomes a list: the input of the spec, and the input without each of its modalities, in
 ///   the order of the spec.
@@ -21,11 +24,40 @@ const INPUT: &str = "input";
 /// When an axis is neither a setting nor has labels, when a label extends an unknown one or itself, or when the input
 /// of an ablation has a single modality.
 pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
+    move_horizons(tree)?;
     let input = tree.get(INPUT).cloned();
     axes(tree.get_mut(VARY), input.as_ref())?;
     let Some(quick) = tree.get_mut("quick") else { return Ok(()) };
     let input = quick.get(INPUT).cloned().or(input);
     axes(quick.get_mut(VARY), input.as_ref())
+}
+
+/// Makes a list of horizons the first axis, `window.horizon`.
+fn move_horizons(tree: &mut Node) -> Result<(), Problem> {
+    let Some(Node { value: Value::Section(window), .. }) = tree.get_mut("window") else { return Ok(()) };
+    let is_list = |entry: &Entry| entry.key == "horizon" && matches!(entry.node.value, Value::List(_));
+    let Some(index) = window.iter().position(is_list) else { return Ok(()) };
+    let axis = Entry { key: HORIZON.to_owned(), ..window.remove(index) };
+    let Value::Section(entries) = &mut tree.value else { return Ok(()) };
+    make_first_axis(entries, axis, HORIZON)
+}
+
+/// Adds the first axis to a spec. `origin` is the key that had its values.
+fn make_first_axis(entries: &mut Vec<Entry>, axis: Entry, origin: &str) -> Result<(), Problem> {
+    match entries.iter_mut().find(|entry| entry.key == VARY) {
+        Some(vary) if vary.node.get(&axis.key).is_some() => {
+            let message = format!("'{origin}' is the same as '{VARY}.{}'; leave one of them out", axis.key);
+            return Err(Problem::new(&axis.key_place, message));
+        }
+        Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) => axes.insert(0, axis),
+        Some(_) => {}
+        None => {
+            let key_place = axis.key_place.clone();
+            let node = Node { place: key_place.clone(), value: Value::Section(vec![axis]) };
+            entries.push(Entry { key: VARY.into(), key_place, node });
+        }
+    }
+    Ok(())
 }
 
 /// Completes the axes under one `vary`, if there is one. `input` is that of the spec.

@@ -270,7 +270,7 @@ pub const GIVEN: &str = "given";
 
 fn distance() -> Vec<Column> {
     vec![
-        integer(HORIZON, "number of samples from the present to the predicted one; 0 for a reconstruction"),
+        integer(HORIZON, "number of samples from the present to the predicted one; 0 for the present one"),
         text(
             GIVEN,
             "the modalities that the model got, joined by a comma; null if it got all of the run's input",
@@ -286,7 +286,7 @@ fn metric_values() -> Vec<Column> {
         text("task", "prediction or reconstruction"),
         text(
             "model",
-            "network; a baseline: persistence, training_mean, ridge; or the name of a model of another program",
+            "network; a baseline: persistence, training_mean, ridge, nearest_neighbors; or the name of a model of another program",
         ),
         column(
             TRAINED_HERE,

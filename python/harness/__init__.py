@@ -336,7 +336,8 @@ def answer(
         of: the predicted modality or modalities, or the part of one with one unit, such as `joints in rad`.
         metrics: the metric or metrics. The default is `smape`, `wmape`, `r2` and `relative_error`.
         models: `network`, which stands for all networks and models of other programs, the baselines `persistence`,
-            `ridge` and `training_mean`, or names of models of other programs. The default is all of them.
+            `ridge`, `training_mean` and `nearest_neighbors`, or names of models of other programs. The default is
+            all of them.
         task: `prediction` or `reconstruction`. The default is both.
         horizon: how far ahead the predictions are: numbers of samples, such as 5, or times, such as `"0.5s"`. The
             default is `window.horizon` of each run's spec, or all horizons if `horizon` is one of the keys.
@@ -869,7 +870,8 @@ def task(
         outputs: modalities that it predicts.
         context: number of samples that it sees, with the present one.
         horizons: how many samples ahead predictions are judged. The longest is that of the task. Shorter ones must be
-            among 1, 2, 5, 10, 20, 50, 100, 200 and 500, at all of which every task is judged.
+            among 1, 2, 5, 10, 20, 50, 100, 200 and 500, at all of which every task is judged. 0 asks for the outputs
+            at the present sample.
         split: how the dataset is divided, as in a spec: `{"by": "time", "test": 0.2}`.
         action: `increment`, the change of the setpoint in a sample, or `target`, the setpoint after it.
         name: name of the experiment of the task. The default is made of a hash of the arguments.

@@ -111,7 +111,8 @@ class Windows:
                 context["action"] = task._actions(present, 1 - task.context, task.context - 1)
         targets = {}
         if self._has_targets:
-            targets = {name: task._windows_of(name, present, 1, task.horizon) for name in task.output}
+            first, count = min(task.horizon, 1), max(task.horizon, 1)
+            targets = {name: task._windows_of(name, present, first, count) for name in task.output}
         return Batch(context, task._actions(present, 0, task.horizon), targets)
 
 
@@ -131,7 +132,7 @@ class PredictionTask(_harness.Task):
         input: names of the inputs.
         output: names of the outputs.
         context: number of samples that a model sees, with the present one.
-        horizon: number of samples that a model predicts.
+        horizon: number of samples that a model predicts; 0 if it estimates the outputs at the present sample.
         horizons: the horizons at which predictions are judged.
         start: `random`, or `rest` if a model sees all samples since the start of an episode.
         action: `increment` or `target`.
@@ -384,7 +385,7 @@ class PredictionTask(_harness.Task):
         checked = {}
         for name in self.output:
             values = _numbers(name, predicted[name])
-            steps = {self.horizon: self.horizons, len(self.horizons): range(1, len(self.horizons) + 1)}
+            steps = {max(self.horizon, 1): self.horizons, len(self.horizons): range(1, len(self.horizons) + 1)}
             shape = self.shapes[name]
             if values.ndim != 2 + len(shape) or len(values) != batch or values.shape[1] not in steps:
                 raise ValueError(f"predict: {self._shape_problem(name, values.shape, batch)}")
@@ -403,7 +404,7 @@ class PredictionTask(_harness.Task):
         return checked
 
     def _shape_problem(self, name: str, found: Sequence[int], batch: int) -> str:
-        wanted = [batch, self.horizon, *self.shapes[name]]
+        wanted = [batch, max(self.horizon, 1), *self.shapes[name]]
         return f"'{name}' has the shape {list(found)}, must be {wanted}"
 
 
@@ -455,8 +456,8 @@ def task_text(
         raise TypeError("task: give the inputs and the outputs of a task on a dataset")
     steps = [horizons] if np.ndim(horizons) == 0 else list(horizons)  # type: ignore[arg-type]
     steps = [integer("horizons", step) for step in steps]
-    if not steps or min(steps) < 1:
-        raise ValueError(f"horizons: {steps} must be numbers of samples, at least 1")
+    if not steps or min(steps) < 0 or (min(steps) == 0 and len(steps) > 1):
+        raise ValueError(f"horizons: {steps} must be numbers of samples, at least 1, or 0 alone")
     spec: dict[str, Any] = {
         **_source(Path(dataset).name, results),
         "input": list(name_tuple(inputs)),

@@ -7,7 +7,7 @@ use super::head::{LEAST_SCALE, heads};
 use candle_core::Result;
 use harness_metrics::force::THRESHOLD_N;
 use harness_samples::{Normalizer, Normalizers};
-use harness_spec::{Action, Element, Family, IMAGE_CHANNELS, Kind, Loss, Modality, Task};
+use harness_spec::{Action, Element, Family, IMAGE_CHANNELS, Kind, Loss, Modality, Task, Window};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -53,6 +53,9 @@ pub struct Description {
     /// `prediction`: encoder and decoder. `reconstruction`: only a decoder, which takes the latent state of the
     /// prediction's encoder.
     pub task: &'static str,
+    /// Whether the outputs of a prediction are those of the present sample, and not of the next one.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub estimates_present: bool,
     /// Size of the latent state.
     pub latent: usize,
     /// How images are laid out.
@@ -375,13 +378,14 @@ impl Description {
         serde_json::to_string(self).expect("it has no maps, and its numbers are finite")
     }
 
-    /// Describes the network that `architecture` builds for `task`.
+    /// Describes the network that `architecture` builds for `task`, which was trained to predict in this window.
     pub fn new(
         architecture: &Architecture,
         task: Task,
         action: Action,
         losses: &BTreeMap<Modality, Loss>,
         normalizers: &Normalizers,
+        window: &Window,
     ) -> Result<Self> {
         let named = |layers: Vec<Layer>, prefix: &str| -> Vec<Layer> {
             layers.into_iter().map(|layer| layer.prefixed(prefix)).collect()
@@ -422,6 +426,7 @@ impl Description {
         Ok(Self {
             format,
             task: task.name(),
+            estimates_present: encodes && window.horizon == 0,
             latent: architecture.latent,
             images: Images::default(),
             inputs: if encodes { inputs } else { Vec::new() },

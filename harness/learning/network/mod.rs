@@ -46,7 +46,7 @@ pub struct Architecture {
     pub layout: Arc<Layout>,
     /// Size of the latent state.
     pub latent: usize,
-    /// Width of the action that the decoder gets; 0 for a decoder without an action.
+    /// Width of the action that the decoder gets; 0 for a decoder without an action. A memory gets that of the layout.
     pub action: usize,
     /// The kinds of layers and their widths.
     pub network: harness_spec::Network,
@@ -65,7 +65,7 @@ pub struct Architecture {
 /// Returns the network that a run trains for `task` on a dataset with this layout.
 pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> Architecture {
     let (output, action, distributions) = match task {
-        Task::Prediction => (&spec.output, layout.action().len(), trained.training.distributions.clone()),
+        Task::Prediction => (&spec.output, spec.action_width(layout), trained.training.distributions.clone()),
         Task::Reconstruction => (&spec.input, 0, BTreeMap::new()),
     };
     Architecture {

@@ -9,7 +9,7 @@ const MOST_CHOSEN = 8;
 /** The columns that are shown at first, besides the overall metrics. */
 const FIRST = ["experiment", "run", "status", "scenario", "latent", "variant", "seed", "started", "seconds"];
 const MIDDLE_METRICS = ["r2", "smape", "wmape", "relative_error"];
-const BASELINES = ["persistence", "training_mean", "ridge"];
+const BASELINES = ["persistence", "training_mean", "ridge", "nearest_neighbors"];
 
 /** A request without an answer, or with an error as its answer, which then has a status. */
 class Failure extends Error {

@@ -34,7 +34,7 @@ TAGS = (
 )
 """The columns of the table `runs` that become tags."""
 
-_BASELINES = ("persistence", "ridge", "training_mean")
+_BASELINES = ("persistence", "ridge", "training_mean", "nearest_neighbors")
 """The models that every run is compared with."""
 
 
