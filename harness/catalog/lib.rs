@@ -218,10 +218,17 @@ pub fn episode_columns(registry: &Registry) -> (Vec<Column>, bool) {
     (if are_there { columns } else { Table::Episodes.columns() }, are_there)
 }
 
-/// The columns without those whose name an earlier one has.
+/// The columns without those whose name an earlier one has. If they have values of several kinds, these become texts.
 fn each_once(columns: impl Iterator<Item = Column>) -> Vec<Column> {
-    let mut names = HashSet::new();
-    columns.filter(|column| names.insert(column.name.clone())).collect()
+    let mut once: Vec<Column> = Vec::new();
+    for column in columns {
+        match once.iter_mut().find(|other| other.name == column.name) {
+            Some(other) if other.kind != column.kind => other.kind = Kind::Text,
+            Some(_) => {}
+            None => once.push(column),
+        }
+    }
+    once
 }
 
 /// The rows of a usual table in the form of the table `of`, which has all rows: with their horizons. That of
@@ -298,13 +305,20 @@ fn episodes(files: &[PathBuf]) -> PolarsResult<Option<LazyFrame>> {
     let groups = by_layout(files)?;
     let held: Vec<Vec<Column>> = groups.iter().map(|(layout, _)| sample_columns(layout)).collect();
     let all = each_once(held.iter().flatten().cloned());
+    let labels: HashSet<&str> =
+        groups.iter().flat_map(|(layout, _)| &layout.labels).map(|label| label.name.as_str()).collect();
     let mut frames = Vec::new();
     for ((_, files), held) in groups.iter().zip(&held) {
         let Some(frame) = scan(files, held)? else { continue };
-        let value = |Column { name, .. }: &Column| match held.iter().any(|column| column.name == *name) {
-            true => col(name.as_str()),
-            // Only elements of vectors can lack.
-            false => lit(NULL).cast(DataType::Float32).alias(name.as_str()),
+        let value = |Column { name, kind, .. }: &Column| {
+            let has = held.iter().any(|column| column.name == *name);
+            let value = if has { col(name.as_str()) } else { lit(NULL) };
+            match labels.contains(name.as_str()) {
+                true => value.cast(data_type(*kind)).alias(name.as_str()),
+                false if has => value,
+                // Only labels and elements of vectors can lack.
+                false => value.cast(DataType::Float32).alias(name.as_str()),
+            }
         };
         frames.push(frame.select(all.iter().map(value).collect::<Vec<_>>()));
     }

@@ -44,8 +44,7 @@ pub struct Asked {
     metrics: Vec<String>,
     /// The models, separated by commas: network, which stands for all networks and models of other programs, the
     /// baselines persistence, ridge, training_mean and nearest_neighbors, or the name of a model of another program
-    /// [default: all in a
-    /// table, network in a plot]
+    /// [default: all in a table, network in a plot]
     #[arg(long, value_name = "MODEL", value_delimiter = ',', value_parser = item)]
     models: Vec<String>,
     /// Only this task [default: both in a table, prediction in a plot]

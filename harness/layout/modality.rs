@@ -382,6 +382,30 @@ pub struct Layout {
     /// regions belongs to the last of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<Region>,
+    /// The labels that each episode of an imported dataset has.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub labels: Vec<Label>,
+}
+
+/// A label of episodes, such as the object that was touched. It has one value in an episode.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Label {
+    /// Its name, which is a column of the table `episodes`.
+    pub name: String,
+    /// What its values are.
+    pub kind: LabelKind,
+}
+
+/// What the values of a label are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LabelKind {
+    /// Texts.
+    Text,
+    /// Integers.
+    Integer,
+    /// Numbers.
+    Real,
 }
 
 impl Layout {

@@ -389,7 +389,7 @@ impl<'a> Resolver<'a> {
             file.keyframe.as_deref().map(|name| self.find(KEYFRAME, name, "keyframe")).transpose()?;
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
         Ok(Resolved {
-            layout: Layout { modalities: definitions, regions: self.world.regions() },
+            layout: Layout { modalities: definitions, regions: self.world.regions(), labels: Vec::new() },
             readings,
             cameras,
             flows,

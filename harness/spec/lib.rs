@@ -35,7 +35,7 @@ pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use harness_layout::{
     CLASS_COLORS, CONTACT_PARTS, Definition, Element, Episode, GivenScaling, GivenScalings, Group,
-    IMAGE_CHANNELS, Kind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings,
+    IMAGE_CHANNELS, Kind, Label, LabelKind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings,
     Segmentation, intern, is_name,
 };
 pub use mapping::{mapping_schema, read_mapping};

@@ -25,6 +25,9 @@ const HINTS: Hints = Hints {
     unknown_key: |entry, path| NAMED.contains(&path).then(|| no_name(entry, path)),
 };
 
+/// The formats of files of named arrays, in which `episodes` may be a pattern of groups.
+const ARRAYS: [&str; 3] = ["hdf5", "zarr", "matlab"];
+
 /// The sections whose keys are names.
 const NAMED: [&str; 2] = ["streams", "modalities"];
 
@@ -118,7 +121,13 @@ fn check(tree: &Node) -> Result<(), (String, String)> {
     }
     let division = ["episode", "episodes", "episode_ends"];
     let is_rows = tree.get("streams").is_none();
-    let mut given = division.into_iter().filter(|key| !is_rows && tree.get(key).is_some());
+    let is_table = tree.get("episodes").is_some_and(|episodes| text(episodes).ends_with(".csv"));
+    let is_of_arrays = tree.get("format").is_some_and(|format| ARRAYS.contains(&text(format)));
+    if tree.get("episodes").is_some() && !is_table && !is_of_arrays {
+        return Err(("episodes".into(), "expected the path of a .csv file with a row for each trial".into()));
+    }
+    let divides = |key: &&str| !is_rows && tree.get(key).is_some() && !(is_table && *key == "episodes");
+    let mut given = division.into_iter().filter(divides);
     if let (Some(first), Some(second)) = (given.next(), given.next()) {
         return Err((
             second.into(),

@@ -1,6 +1,6 @@
 //! The columns of every table, with units and meanings. Writers, queries, documents and `harness schema` use this list.
 
-use harness_spec::{Layout, Modality};
+use harness_spec::{LabelKind, Layout, Modality};
 use serde::Serialize;
 use std::borrow::Cow;
 
@@ -382,6 +382,16 @@ pub fn sample_columns(layout: &Layout) -> Vec<Column> {
         integer("sample", "counted from 0 within the episode"),
         real("time", "s", "time since the episode's start"),
     ];
+    columns.extend(layout.labels.iter().map(|label| Column {
+        name: label.name.clone(),
+        kind: match label.kind {
+            LabelKind::Text => Kind::Text,
+            LabelKind::Integer => Kind::Integer,
+            LabelKind::Real => Kind::Real,
+        },
+        unit: "".into(),
+        meaning: "label of the episode".into(),
+    }));
     for definition in layout.stored_vectors() {
         columns.extend(definition.columns().zip(definition.elements()).map(|(name, element)| Column {
             name,

@@ -94,7 +94,8 @@ def columns(layout: Layout) -> list[Column]:
         for name, (rows, width, _) in image_shapes(layout).items()
     ]
     vectors = [column for elements in vector_columns(layout).values() for column in elements]
-    return [*KEY_COLUMNS, *vectors, *images]
+    labels = [Column(each["name"], each["kind"], "", "label of the episode") for each in layout.get("labels", [])]
+    return [*KEY_COLUMNS, *labels, *vectors, *images]
 
 
 _SEAL = b"sha256-seal:"
@@ -117,6 +118,10 @@ class Episode:
     """float32 [samples, elements] by name, in the units of the files' columns."""
     images: dict[str, np.ndarray]
     """uint8 [samples, rows, columns, 3] by name."""
+    labels: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """What was the same during the episode, by name."""
+    elements: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+    """The names of the elements of each vector; empty if they are those of a layout."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -292,6 +297,9 @@ def write_episode(path: Path, dataset: str, scenario: str, episode: Episode, lay
         "sample": pl.arange(samples, dtype=pl.UInt32, eager=True),
         "time": pl.Series(episode.time, dtype=pl.Float64),
     }
+    kinds = {"text": pl.String, "integer": pl.Int64, "real": pl.Float64}
+    for label in layout.get("labels", []):
+        values[label["name"]] = pl.Series([episode.labels[label["name"]]] * samples, dtype=kinds[label["kind"]])
     for vector, elements in vector_columns(layout).items():
         for place, column in enumerate(elements):
             values[column.name] = pl.Series(episode.vectors[vector][:, place], dtype=pl.Float32)

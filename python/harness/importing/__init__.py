@@ -144,7 +144,7 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
         raise MappingError(f"{path}: {error}") from None
     sketch = Sketch.of(recording)
     episodes = _episodes(path, mapping, recording, sketch, progress)
-    name = write_dataset(mapping, recording.sample_rate_hz, episodes, results, progress)
+    name = write_dataset(mapping, recording, episodes, results, progress)
     page = results / "imports" / f"{name}.html"
     notes = _harness.recording_notes(results / "datasets", name)
     write_page(page, name, mapping, recording, sketch, notes)

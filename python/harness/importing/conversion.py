@@ -42,6 +42,7 @@ def episode_of(
         noun = "sample" if samples == 1 else "samples"
         raise MappingError(f"it has {samples} {noun}{left_out}; it must have 2 or more")
     vectors = {name: each.pick(columns) for name, each in selections.items() if each.size is None}
+    elements = {name: selections[name].elements(columns, values.shape[1]) for name, values in vectors.items()}
     vectors = {name: values[:samples] if name == "setpoint" else values[shift:] for name, values in vectors.items()}
     images = {}
     with_size = [(name, selection) for name, selection in selections.items() if selection.size is not None]
@@ -54,7 +55,7 @@ def episode_of(
         images[name] = _frames(itertools.islice(pictures, shift, None), samples, selection, tell)
     if not images:
         advance(1.0)
-    return Episode(index, np.arange(samples) / rate, vectors, images)
+    return Episode(index, np.arange(samples) / rate, vectors, images, elements=elements)
 
 
 def _frames(

@@ -150,7 +150,7 @@ def _by_column(name: str, streams: dict[str, Stream], column: str) -> Iterator[T
             )
     for index, label in enumerate(labels[first]):
         own = {key: parts[key][index] if key in parts else stream for key, stream in streams.items()}
-        yield Take(f"{name}, {column} {label}", own)
+        yield Take(f"{name}, {column} {label}", own, {column: label})
 
 
 def _some(labels: list[str]) -> str:

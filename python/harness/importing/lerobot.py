@@ -12,6 +12,7 @@ import numpy as np
 from harness._paths import plain_path
 
 from .alignment import wanted
+from .labels import Labeling
 from .mapping import Columns, Mapping, MappingError
 from .recording import Recording
 from .streams import irregular
@@ -54,7 +55,9 @@ def open_lerobot(mapping: Mapping) -> Recording:
                     raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
                 yield {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
 
-    return Recording(float(dataset.fps), len(places), episodes(), places)
+    labeling = Labeling(mapping)
+    labels = [labeling.of(str(index), {}) for index in range(len(places))]
+    return Recording(float(dataset.fps), len(places), episodes(), places, labels=labels)
 
 
 @contextlib.contextmanager

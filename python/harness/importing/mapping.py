@@ -47,6 +47,11 @@ def listed(columns: list[str]) -> str:
     return ", ".join(columns) + (hint if names and all(map(is_number.fullmatch, names)) else "")
 
 
+def slug(text: str) -> str:
+    """Returns a text with _ in the place of what no name of a column may contain."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+
+
 class MappingError(ValueError):
     """Raised if a mapping is wrong or does not fit the recording. The message says where and why."""
 
@@ -114,6 +119,17 @@ class Selection:
         if self.scale is not None:
             values = values * self.scale
         return self._stored(values)
+
+    def elements(self, episode: Columns, width: int) -> list[str]:
+        """Returns the names of the elements of a vector of this width: those of its columns, without what all names of
+        its columns would repeat, or numbers for the elements of a single column."""
+        found = [match for term in self.terms for match in self._matches(term, list(episode))]
+        numbers = [f"{index:02}" for index in range(width)]
+        if len(found) != width:
+            return numbers
+        short = [slug(column.partition(".")[2] or column).removeprefix(f"{self.modality}_") for column, _ in found]
+        long = [slug(column) for column, _ in found]
+        return next((names for names in (short, long) if all(names) and len(set(names)) == width > 1), numbers)
 
     def _numbers(self, column: str, values: Any) -> np.ndarray:
         """Returns the values of a column, float64 [samples, elements]."""
@@ -230,6 +246,8 @@ class Mapping:
 
     name: str
     """The dataset's name, without the hash."""
+    folder: Path
+    """The folder of the file, to which paths are relative."""
     source: Path
     """The recording: a folder, a file, or, for streams, a pattern of both."""
     format: str
@@ -264,7 +282,7 @@ class Mapping:
             rows = Rows(text["episode"], text["order"], float(text["sample_rate_hz"]))
         sampling = _sampling(text) if has_streams else None
         selections = _selections(text["modalities"], text["format"])
-        return cls(text["name"], source, text["format"], selections, rows, sampling, text)
+        return cls(text["name"], path.parent, source, text["format"], selections, rows, sampling, text)
 
 
     @property
@@ -279,7 +297,7 @@ def _sampling(text: dict[str, Any]) -> Sampling:
         split_at_gaps=text.get("gaps") == "split",
         max_episode_s=float(text.get("max_episode_s", math.inf)),
         streams={name: _stream(name, keys, text) for name, keys in text["streams"].items()},
-        divided_by={key: text[key] for key in DIVISIONS if key in text},
+        divided_by={key: text[key] for key in DIVISIONS if key in text and not str(text[key]).endswith(".csv")},
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from .alignment import wanted
+from .labels import Labeling
 from .mapping import UNITS, Mapping, MappingError, Rows
 from .recording import Recording
 from .streams import irregular
@@ -33,13 +34,16 @@ def open_parquet(mapping: Mapping, what: Rows) -> Recording:
                 raise MappingError(f"there is no column '{key}'; the columns are {', '.join(available)}")
         columns = wanted(mapping.selections, available)
         _check_order(files, table.select(keys).collect(), what)
-        rows = table.select(list(dict.fromkeys([*keys, *columns]))).sort(keys).collect()
+        told = [what.episode, *_constant(table, what.episode)]
+        rows = table.select(list(dict.fromkeys([*keys, *columns, *told]))).sort(keys).collect()
     except pl.exceptions.PolarsError as error:
         raise MappingError(f"source: {mapping.source} can't be read: {' '.join(str(error).split())}") from None
     groups = rows.partition_by(what.episode, maintain_order=True)
     episodes = ({name: group[name].to_list() for name in columns} for group in groups)
     places = [f"{mapping.source}, {what.episode} {group[what.episode][0]}" for group in groups]
-    return Recording(what.sample_rate_hz, len(groups), episodes, places)
+    labeling, first = Labeling(mapping), [{name: group[name][0] for name in told} for group in groups]
+    labels = [labeling.of(str(each[what.episode]), each) for each in first]
+    return Recording(what.sample_rate_hz, len(groups), episodes, places, labels=labels)
 
 
 def scanned(files: list[Path]) -> pl.LazyFrame:
@@ -62,6 +66,15 @@ def scanned(files: list[Path]) -> pl.LazyFrame:
             )
             raise MappingError(f"{path}: {own}, and {files[0]} {first}; save all files alike")
     return scan(files)
+
+
+def _constant(table: pl.LazyFrame, episode: str) -> list[str]:
+    """Returns the columns of texts that have one value in each episode."""
+    texts = [name for name, kind in table.collect_schema().items() if kind == pl.String and name != episode]
+    if not texts:
+        return []
+    counts = table.group_by(episode).agg(pl.col(texts).n_unique()).select(pl.col(texts).max()).collect()
+    return [name for name in texts if counts[name][0] == 1]
 
 
 def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:

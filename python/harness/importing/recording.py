@@ -6,11 +6,13 @@ import importlib
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from .alignment import Plan, Quality, align, plan, wanted
+from .labels import Labeling
 from .mapping import Columns, Mapping, MappingError, Sampling
 from .streams import Take, checked, seconds
 
@@ -31,6 +33,8 @@ class Recording:
     """What is known about the times of each stream."""
     left_out: int = 0
     """Samples in no episode, because a stream has a gap there."""
+    labels: list[dict[str, Any]] = field(default_factory=list)
+    """The labels of each episode."""
 
 
 def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Recording:
@@ -52,10 +56,12 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
 
     qualities = {name: Quality(name) for name in sampling.streams}
     bar = tqdm(takes(), desc="reading times", unit=" takes", file=sys.stderr, disable=not progress)
-    names, plans = [], []
+    names, plans, labels = [], [], []
+    labeling = Labeling(mapping)
     for take in bar:
         names.append(take.name)
         plans.append(plan(take, mapping, sampling, qualities))
+        labels += [labeling.of(take.name, take.labels)] * len(plans[-1].spans)
     places = [
         f"{name}, from {seconds(span.times(sampling.sample_rate_hz)[0])} s"
         for name, each in zip(names, plans, strict=True)
@@ -68,6 +74,7 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
         places=places,
         qualities=list(qualities.values()),
         left_out=sum(each.left_out for each in plans),
+        labels=labels,
     )
 
 
@@ -99,6 +106,7 @@ def _checked(take: Take, first: Take | None, mapping: Mapping, sampling: Samplin
             for name, stream in take.streams.items()
             if name in used
         },
+        take.labels,
     )
 
 

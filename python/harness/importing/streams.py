@@ -6,7 +6,7 @@ import contextlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,8 @@ class Take:
     """Which part it is: for messages."""
     streams: dict[str, Stream]
     """The streams by their name in the mapping."""
+    labels: dict[str, Any] = field(default_factory=dict)
+    """What the recording itself says of it, such as the value by which it is divided."""
 
     @property
     def columns(self) -> list[str]:

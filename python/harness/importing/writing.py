@@ -28,7 +28,9 @@ from harness.recorded import (
     write_episode,
 )
 
+from .labels import unified
 from .mapping import KNOWN, Mapping, MappingError
+from .recording import Recording
 
 DESCRIPTION = "dataset.json"
 """The file that describes a dataset."""
@@ -43,8 +45,8 @@ class Draft:
     samples: int
     digest: str
     """SHA-256 of its vectors and images."""
-    widths: dict[str, int]
-    """Elements of each vector."""
+    elements: dict[str, list[str]]
+    """The names of the elements of each vector."""
 
     @classmethod
     def write(cls, folder: Path, episode: Episode) -> Draft:
@@ -53,20 +55,21 @@ class Draft:
         with open(path, "wb") as file:
             for values in [episode.time, *episode.vectors.values(), *episode.images.values()]:
                 np.save(file, values, allow_pickle=False)
-        widths = {name: values.shape[1] for name, values in episode.vectors.items()}
-        return cls(path, episode.index, len(episode), _digest(episode), widths)
+        return cls(path, episode.index, len(episode), _digest(episode), episode.elements)
 
-    def read(self, mapping: Mapping) -> Episode:
-        """Reads the episode."""
+    def read(self, mapping: Mapping, labels: dict[str, Any]) -> Episode:
+        """Reads the episode, and gives it labels."""
         images = [name for name, selection in mapping.selections.items() if selection.size is not None]
         with open(self.path, "rb") as file:
             time = np.load(file)
-            vectors = {name: np.load(file) for name in self.widths}
-            return Episode(self.index, time, vectors, {name: np.load(file) for name in images})
+            vectors = {name: np.load(file) for name in self.elements}
+            return Episode(self.index, time, vectors, {name: np.load(file) for name in images}, labels)
 
 
-def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], results: Path, progress: bool) -> str:
-    """Writes a dataset, and returns its name. If it is there already, only its missing and damaged files are written.
+def write_dataset(
+    mapping: Mapping, recording: Recording, episodes: Iterable[Episode], results: Path, progress: bool
+) -> str:
+    """Writes the dataset of a recording, and returns its name. If it is there already, only its missing and damaged files are written.
     Has one episode at a time in memory.
 
     Raises:
@@ -76,7 +79,8 @@ def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], re
     with _made(results), unfinished_folder(results, "import") as unfinished:
         unfinished.chmod(0o755)
         drafts = [Draft.write(unfinished, episode) for episode in episodes]
-        identity = _identity(mapping, rate, drafts)
+        labels, kinds = unified(recording.labels)
+        identity = _identity(mapping, recording.sample_rate_hz, drafts, labels, kinds)
         # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
         name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
@@ -85,7 +89,7 @@ def write_dataset(mapping: Mapping, rate: float, episodes: Iterable[Episode], re
         for draft in tqdm(drafts, desc="writing", unit=" episodes", file=sys.stderr, disable=not progress):
             file = f"episode_{draft.index:05}.parquet"
             if not _is_intact(read_stamped, folder / file, name, draft.index):
-                write_episode(unfinished / file, name, name, draft.read(mapping), layout)
+                write_episode(unfinished / file, name, name, draft.read(mapping, labels[draft.index]), layout)
             draft.path.unlink(missing_ok=True)
         if not _is_intact(_read_description, folder / DESCRIPTION, identity):
             description = json.dumps(identity | {"mapping": mapping.text}, indent=2, allow_nan=False)
@@ -147,31 +151,41 @@ def _made(folder: Path) -> Iterator[None]:
         raise
 
 
-def _identity(mapping: Mapping, rate: float, drafts: list[Draft]) -> dict[str, Any]:
+def _identity(
+    mapping: Mapping, rate: float, drafts: list[Draft], labels: list[dict[str, Any]], kinds: list[dict[str, str]]
+) -> dict[str, Any]:
     """Returns what a dataset's hash is computed from."""
-    widths = drafts[0].widths
+    named = drafts[0].elements
     for draft in drafts:
-        for name, width in draft.widths.items():
-            if width != widths[name]:
+        for name, elements in draft.elements.items():
+            if len(elements) != len(named[name]):
                 raise MappingError(
-                    f"modalities.{name}: has {width} values in episode {draft.index} and {widths[name]} in the first"
+                    f"modalities.{name}: has {len(elements)} values in episode {draft.index} and {len(named[name])} in "
+                    "the first"
                 )
-    layout = _layout(mapping, widths)
+    layout = _layout(mapping, named) | {"labels": kinds}
     elements = {column.name for each in vector_columns(layout).values() for column in each}
     for image in sorted(elements & image_shapes(layout).keys()):
         raise MappingError(f"modalities.{image}: a vector has a column of this name; give the image another name")
+    for label in kinds:
+        if label["name"] in elements | image_shapes(layout).keys():
+            raise MappingError(f"the label '{label['name']}' is also a column of a modality; give one another name")
+    # As text, because Python and Rust write some numbers differently.
+    texts = [{key: None if value is None else str(value) for key, value in each.items()} for each in labels]
     content = {
         "layout": layout,
         "name": mapping.name,
         "sample_rate_hz": rate,
         "modalities": [name for name in mapping.selections if name != "setpoint"],
-        "episodes": [{"samples": draft.samples, "sha256": draft.digest} for draft in drafts],
+        "episodes": [
+            {"samples": draft.samples, "sha256": draft.digest, "labels": texts[draft.index]} for draft in drafts
+        ],
     }
     return {"format": FORMAT, "imported": content}
 
 
-def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
-    """Returns the layout of a dataset, given the widths of its vectors."""
+def _layout(mapping: Mapping, named: dict[str, list[str]]) -> Layout:
+    """Returns the layout of a dataset, given the names of the elements of its vectors."""
     modalities: list[dict[str, Any]] = []
     for name, selection in mapping.selections.items():
         known = KNOWN.get(name)
@@ -180,12 +194,12 @@ def _layout(mapping: Mapping, widths: dict[str, int]) -> Layout:
             modalities.append({"name": name, "meaning": "Image", **image})
             meaning = f"Change of {name} since the sample before"
             modalities.append({"name": difference_of(name), "meaning": meaning, **image, "difference_of": name})
-        elif known and len(known["elements"]) == widths[name]:
+        elif known and len(known["elements"]) == len(named[name]):
             modalities.append(known)
         else:
             units = {element["unit"] for element in known["elements"]} if known else {selection.unit}
             unit = units.pop() if len(units) == 1 else ""
-            elements = [{"name": f"{index:02}", "unit": unit} for index in range(widths[name])]
+            elements = [{"name": element, "unit": unit} for element in named[name]]
             keep = ("scale", "minimum", "percentage")
             rest = {key: known[key] for key in keep if key in known} if known else {"scale": "per_element"}
             modalities.append({"name": name, "meaning": "Value", "kind": "vector", "elements": elements, **rest})
