@@ -22,7 +22,7 @@ const SCENARIO: &str = "scenario";
 /// The key of the size of the latent state, which models of other programs lack.
 const LATENT: &str = "latent";
 /// The keys in which the runs of an experiment may always differ.
-const OF_CELLS: [&str; 4] = [SCENARIO, LATENT, "seed", "simulation.seed"];
+const OF_CELLS: [&str; 5] = [SCENARIO, LATENT, "seed", "simulation.seed", "split.fold"];
 /// The key of the settings that an experiment varies.
 pub(super) const VARIANT: &str = "variant";
 /// The name of an external model, which only runs of external models have.

@@ -2,10 +2,12 @@
 
 use super::DatasetError;
 use harness_shared::seal::hex;
-use harness_spec::{Layout, Modality, Scenario, Simulation};
+use harness_samples::Labels;
+use harness_spec::{Layout, Modality, Scenario, Simulation, Split};
 use serde::Deserialize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -124,11 +126,16 @@ pub(super) struct Content {
     #[serde(default)]
     layout: Option<Layout>,
     episodes: Vec<ImportedEpisode>,
+    /// The split of runs that ask for no other one. Datasets of earlier versions have none.
+    #[serde(default)]
+    split: Option<Split>,
 }
 
 #[derive(Debug, Clone, Deserialize)]
 struct ImportedEpisode {
     samples: u32,
+    #[serde(default)]
+    labels: BTreeMap<String, Option<String>>,
 }
 
 impl Content {
@@ -143,6 +150,12 @@ impl Content {
         // The colors of a real camera's images do not identify the robot's parts.
         layout.regions.clear();
         Arc::new(layout)
+    }
+
+    /// Returns what is known about the episodes.
+    pub fn labels(&self) -> Labels {
+        let episodes = self.episodes.iter().map(|episode| episode.labels.clone()).collect();
+        Labels { episodes, split: self.split.clone() }
     }
 
     /// Returns the number of samples of each episode.

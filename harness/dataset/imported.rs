@@ -3,10 +3,10 @@
 use super::DatasetError;
 use super::description::{Content, Description};
 use super::episode_file::{episode_file, push_all, read_episode};
-use harness_samples::{FramePlace, Recording, Samples};
+use harness_samples::{FramePlace, Labels, Recording, Samples};
 use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
-use harness_spec::{Division, Episode, Layout, Modality, RunSpec, Window, WindowStart};
+use harness_spec::{Division, Episode, Layout, Modality, Part, RunSpec, Split, Window, WindowStart};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -65,6 +65,11 @@ impl Imported {
             let held: Vec<&str> = self.layout.names().map(Modality::name).collect();
             return Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") });
         }
+        let split = self.labels().split(&spec.split);
+        if split.has_groups() || matches!(split.by, Division::Label(_)) {
+            self.parts(&spec.split)
+                .map_err(|problem| DatasetError::Split { dataset: self.name.clone(), problem })?;
+        }
         let longest = self.content.samples().max().unwrap_or_default();
         if longest < spec.window.samples() {
             let Window { context, horizon, .. } = spec.window;
@@ -102,7 +107,21 @@ impl Imported {
         progress.begin(&format!("loading {}", self.name), self.len() as u64, "samples");
         push_all(&mut samples, self.episodes(), read, progress)?;
         progress.end();
-        Ok(samples)
+        Ok(samples.with_labels(self.labels()))
+    }
+
+    /// Returns what is known about the episodes besides their samples.
+    pub fn labels(&self) -> Labels {
+        self.content.labels()
+    }
+
+    /// Returns the part of each episode in a split that keeps them whole.
+    ///
+    /// # Errors
+    /// When the episodes can't be divided so. Returns the message.
+    pub fn parts(&self, split: &Split) -> Result<Vec<Part>, String> {
+        let labels = self.labels();
+        labels.parts(&labels.split(split), &self.content.samples().collect::<Vec<_>>())
     }
 
     /// Returns the number of episodes.

@@ -65,6 +65,14 @@ pub enum DatasetError {
         /// The modalities of the dataset, separated by commas.
         held: String,
     },
+    /// The episodes can't be divided as a spec asks.
+    #[error("the dataset {dataset} can't be divided: {problem}")]
+    Split {
+        /// Name of the dataset.
+        dataset: String,
+        /// Why.
+        problem: String,
+    },
     /// No episode of the dataset is as long as a window.
     #[error(
         "the longest episode of the dataset {dataset} has {}, and a window of {context} that are seen and {horizon} \

@@ -451,7 +451,15 @@ impl<'a> Runner<'a> {
         }
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
         if matches!(source.dataset, AnyDataset::Imported(_)) {
-            for note in recorded::setpoint_notes(&samples, &spec.output, &partition)? {
+            let split = samples.labels().split(&spec.split);
+            for note in recorded::notes(
+                &samples,
+                &spec.modalities(),
+                &spec.output,
+                &partition,
+                &split,
+                &spec.window,
+            )? {
                 self.progress.say(&format!("{}: {note}", spec.scenario));
             }
         }

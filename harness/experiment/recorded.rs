@@ -4,16 +4,27 @@ use super::ExperimentError;
 use harness_dataset::Imported;
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
-use harness_samples::{FramePlace, Normalizers, Partition, Samples};
+use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
+use harness_shared::numbers::counted;
 use harness_shared::progress::Silent;
-use harness_spec::{Action, Modality, Scale, Scaling, Scalings, Split, Task, Window};
+use harness_spec::{
+    Action, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task, Window,
+};
+use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::Path;
 
 /// The R2 of a ridge regression above which the setpoint alone tells an output.
 const TOLD: f64 = 0.99;
 
-/// Returns what may be wrong with an imported dataset, in sentences. All its vectors count as outputs, and it is divided
-/// as by default.
+/// How far beyond the range of the training a value counts as beyond it, in parts of the range.
+const BEYOND: f32 = 0.05;
+
+/// The share of test samples beyond the range that is told.
+const OFTEN: f64 = 0.05;
+
+/// Returns what is known about the default split of an imported dataset, and what may be wrong with it, in sentences. All
+/// its vectors count as outputs.
 ///
 /// # Errors
 /// When the dataset can't be read.
@@ -21,10 +32,128 @@ pub fn recording_notes(datasets: &Path, name: &str) -> Result<Vec<String>, Exper
     let samples = Imported::open(datasets, name)?.load(FramePlace::Nowhere, &Silent)?;
     let vectors = samples.layout().stored_vectors().map(|definition| definition.name);
     let output: Vec<Modality> = vectors.filter(|name| name.is_sensed()).collect();
-    match samples.partition(&Split::default(), &Window::TRANSITION) {
-        Some(partition) => Ok(setpoint_notes(&samples, &output, &partition)?),
-        None => Ok(Vec::new()),
+    let (split, window) = (samples.labels().split(&Split::default()), Window::TRANSITION);
+    let Some(partition) = samples.partition(&split, &window) else {
+        return Ok(vec![format!("the default split, by {}, leaves no training samples; ask for another", split.by)]);
+    };
+    let told = divided(&samples, &split);
+    let notes = notes(&samples, &output, &output, &partition, &split, &window)?;
+    Ok(told.into_iter().chain(notes).collect())
+}
+
+/// Says which groups are in which part of a split that keeps episodes.
+fn divided(samples: &Samples, split: &Split) -> Option<String> {
+    if !split.by.keeps_episodes() {
+        return None;
     }
+    let (labels, lengths) = (samples.labels(), lengths(samples));
+    let parts = labels.parts(split, &lengths).ok()?;
+    let values = labels.values(split.by, lengths.len()).ok()?;
+    let of = |wanted: Part| {
+        let own = values.iter().zip(&parts).filter(|(_, part)| **part == wanted).map(|(value, _)| value.as_str());
+        own.collect::<BTreeSet<_>>()
+    };
+    let listed = |part: Part| of(part).into_iter().collect::<Vec<_>>().join(", ");
+    Some(format!(
+        "runs that ask for no other split divide by {}: {} for training, {} for validation, {} for the test",
+        split.by,
+        of(Part::Training).len(),
+        listed(Part::Validation),
+        listed(Part::Test)
+    ))
+}
+
+fn lengths(samples: &Samples) -> Vec<usize> {
+    samples.episodes().iter().map(Range::len).collect()
+}
+
+/// Returns what may be wrong with a recording as the data of a run, in sentences: a setpoint that tells an output, a test
+/// beyond the range of the training, groups that the training lacks, a single trial, and episodes that are left out.
+///
+/// # Errors
+/// When a value is not finite.
+pub(super) fn notes(
+    samples: &Samples,
+    used: &[Modality],
+    output: &[Modality],
+    partition: &Partition,
+    split: &Split,
+    window: &Window,
+) -> Result<Vec<String>, JudgeError> {
+    let mut notes = setpoint_notes(samples, output, partition)?;
+    notes.extend(used.iter().filter_map(|modality| beyond_range(samples, *modality, partition)));
+    notes.extend(missing_groups(samples, split));
+    let trials = samples.labels().values(Division::Label("trial"), samples.episodes().len());
+    if let Ok([first, others @ ..]) = trials.as_deref()
+        && others.iter().all(|trial| trial == first)
+    {
+        notes.push(
+            "all episodes are of one trial, so the test says nothing about another one; a model may know the trial by \
+             its first sample"
+                .to_owned(),
+        );
+    }
+    if split.by == Division::Time {
+        let rate = samples.recording().sample_rate_hz;
+        let is_short = |length: &usize| split.times(*length, window.samples(), rate).is_none();
+        let short: Vec<usize> = lengths(samples).into_iter().filter(is_short).collect();
+        if !short.is_empty() {
+            let (count, left_out) = (counted(short.len(), "episode"), counted(short.iter().sum(), "sample"));
+            notes.push(format!("{count} with {left_out} are left out, because they are too short for a split by time"));
+        }
+    }
+    Ok(notes)
+}
+
+/// Says how much of the test is beyond the range of the training.
+fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) -> Option<String> {
+    let width = samples.layout()[modality].width();
+    if samples.layout()[modality].is_image() {
+        return None;
+    }
+    let mut ranges = vec![(f32::INFINITY, f32::NEG_INFINITY); width];
+    for sample in &partition.training {
+        for (value, (least, most)) in samples.vector(modality, *sample).iter().zip(&mut ranges) {
+            (*least, *most) = (least.min(*value), most.max(*value));
+        }
+    }
+    let margin = |(least, most): &(f32, f32)| BEYOND * (most - least);
+    let is_beyond = |(value, range): (&f32, &(f32, f32))| {
+        *value < range.0 - margin(range) || *value > range.1 + margin(range)
+    };
+    let has_beyond =
+        |sample: &&Sample| samples.vector(modality, **sample).iter().zip(&ranges).any(is_beyond);
+    let share = partition.test.iter().filter(has_beyond).count() as f64 / partition.test.len().max(1) as f64;
+    (share > OFTEN).then(|| {
+        format!(
+            "{modality} is beyond its range in the training in {:.0} % of the test samples, where no model has learned",
+            100.0 * share
+        )
+    })
+}
+
+/// Says which values of a label are in the test only. Texts count, without those that name a single episode.
+fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
+    let (labels, lengths) = (samples.labels(), lengths(samples));
+    let Ok(parts) = labels.parts(split, &lengths) else { return Vec::new() };
+    if !split.by.keeps_episodes() {
+        return Vec::new();
+    }
+    let texts = samples.layout().labels.iter().filter(|label| label.kind == LabelKind::Text);
+    let sentence = |label: &Label| {
+        let by = Division::new(&label.name).filter(|by| *by != split.by)?;
+        let values = labels.values(by, lengths.len()).ok()?;
+        let of = |wanted: Part| {
+            let own = values.iter().zip(&parts).filter(move |(_, part)| **part == wanted);
+            own.map(|(value, _)| value.as_str()).collect::<BTreeSet<_>>()
+        };
+        let (all, training): (BTreeSet<&String>, _) = (values.iter().collect(), of(Part::Training));
+        let test = of(Part::Test);
+        let missing: Vec<&str> = test.difference(&training).copied().collect();
+        (all.len() < values.len() && !missing.is_empty())
+            .then(|| format!("the training has no {} {}, which the test has", label.name, missing.join(", ")))
+    };
+    texts.filter_map(sentence).collect()
 }
 
 /// Returns a sentence for each output of a recording that its setpoint contains or tells, because a model reads it off
@@ -32,7 +161,7 @@ pub fn recording_notes(datasets: &Path, name: &str) -> Result<Vec<String>, Exper
 ///
 /// # Errors
 /// When a value is not finite.
-pub(super) fn setpoint_notes(
+fn setpoint_notes(
     samples: &Samples,
     output: &[Modality],
     partition: &Partition,

@@ -12,7 +12,7 @@ use harness_learning::random::{Random, Stream};
 use harness_registry::{Registry, RunRecord};
 use harness_samples::{Sample, Samples};
 use harness_shared::numbers::counted;
-use harness_spec::{Division, Memory, Modality, Task, Window};
+use harness_spec::{Division, Memory, Modality, Part, Task, Window};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -133,13 +133,19 @@ pub fn rollout(
     let dataset = AnyDataset::at(&path)?;
     let simulation = spec.test_simulation().or_else(|| spec.simulation.clone());
     let episodes = simulation.map_or(dataset.episodes(), |simulation| simulation.episodes);
-    let usual = match (&spec.test, spec.split.by) {
-        (Some(_), _) => 0,
-        (None, Division::Episode) => {
+    let parts = match &dataset {
+        AnyDataset::Imported(dataset) => dataset.parts(&spec.split).ok(),
+        AnyDataset::Simulated(_) => None,
+    };
+    let tested = parts.and_then(|parts| parts.iter().position(|part| *part == Part::Test));
+    let usual = match (&spec.test, spec.split.by, tested) {
+        (Some(_), ..) => 0,
+        (None, Division::Episode | Division::Label(_), Some(tested)) => tested as u32,
+        (None, Division::Episode, None) => {
             let tested = spec.split.counts(episodes as usize, false);
             episodes.saturating_sub(tested.map_or(1, |counts| counts.test as u32))
         }
-        (None, Division::Time | Division::Sample) => episodes.saturating_sub(1),
+        (None, ..) => episodes.saturating_sub(1),
     };
     let episode = episode.unwrap_or(usual);
     if episode >= episodes {

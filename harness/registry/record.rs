@@ -555,7 +555,10 @@ pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
         column_of(records, "spec_hash", |run| run.spec_hash.as_str()),
         column_of(records, "dataset", |run| run.dataset.as_str()),
         column_of(records, "test_dataset", |run| run.test_dataset.as_deref()),
-        column_of(records, "dataset_seed", |run| run.spec.simulation.as_ref().map(|of| of.seed as i64)),
+        column_of(records, "dataset_seed", |run| {
+            let seed = run.spec.simulation.as_ref().map(|of| of.seed as i64);
+            seed.or(run.spec.split.fold.map(|fold| fold as i64))
+        }),
         column_of(records, "world_version", |run| run.provenance.world.as_ref().map(WorldVersion::id)),
         column_of(records, "reading", |run| run.spec.reading()),
         column_of(records, "role", |run| run.spec.role()),

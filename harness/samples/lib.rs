@@ -2,10 +2,12 @@
 
 mod constant;
 mod frames;
+mod labels;
 mod normalizer;
 mod window;
 
 pub use frames::{FramePlace, frame_bytes};
+pub use labels::Labels;
 pub use normalizer::{Normalizer, Normalizers};
 pub use window::{Partition, Sample, after, before, ends, sequences};
 
@@ -55,6 +57,7 @@ pub struct Samples {
     images: Vec<Option<FrameStore>>,
     /// The dataset's folder, which may contain the frames.
     folder: PathBuf,
+    labels: Labels,
 }
 
 impl Samples {
@@ -90,7 +93,7 @@ impl Samples {
         let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
         let images = images.map_err(|source| FramesError { folder: folder.to_owned(), source })?;
         let folder = folder.to_owned();
-        Ok(Self { recording, episodes: Vec::new(), before_test: None, layout, vectors, images, folder })
+        Ok(Self { recording, episodes: Vec::new(), before_test: None, layout, vectors, images, folder, labels: Labels::default() })
     }
 
     /// Appends an episode, with its frames if it has any.
@@ -115,6 +118,16 @@ impl Samples {
             }
         }
         Ok(())
+    }
+
+    /// Adds what is known about the episodes of a recording.
+    pub fn with_labels(self, labels: Labels) -> Self {
+        Self { labels, ..self }
+    }
+
+    /// Returns what is known about the episodes of a recording.
+    pub fn labels(&self) -> &Labels {
+        &self.labels
     }
 
     /// Declares that all further episodes are those of a dataset of its own for the test.

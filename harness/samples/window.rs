@@ -1,7 +1,7 @@
 //! Samples, and the division of windows into training, validation and test.
 
 use super::Samples;
-use harness_spec::{Division, Split, Window};
+use harness_spec::{Division, Part, Split, Window};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -106,8 +106,10 @@ impl Samples {
     /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A
     /// window never leaves its episode. If episodes or times are split, it never leaves its part.
     pub fn partition(&self, split: &Split, window: &Window) -> Option<Partition> {
+        let split = &self.labels().split(split);
         let partition = match split.by {
-            Division::Episode => self.partition_by_episode(split, window),
+            Division::Episode if !split.has_groups() => self.partition_by_episode(split, window),
+            Division::Episode | Division::Label(_) => self.partition_by_group(split, window),
             Division::Time => self.partition_by_time(split, window),
             Division::Sample => self.partition_by_sample(split, window),
         }?;
@@ -138,13 +140,29 @@ impl Samples {
         })
     }
 
+    /// The episodes of each group are in one part.
+    fn partition_by_group(&self, split: &Split, window: &Window) -> Option<Partition> {
+        let lengths: Vec<usize> = self.episodes().iter().map(Range::len).collect();
+        let parts = self.labels().parts(split, &lengths).ok()?;
+        let of = |wanted: Part, window: Window| {
+            let all = self.episodes().iter().zip(&parts).filter(|(_, part)| **part == wanted);
+            all.flat_map(|(range, _)| within(&window, range)).collect()
+        };
+        Some(Partition {
+            training: of(Part::Training, window.of_one_sample()),
+            validation: of(Part::Validation, window.of_one_sample()),
+            test: of(Part::Test, window.judged()),
+        })
+    }
+
     /// In each episode, the last part is for the test, the part before it for validation, and the first part for
-    /// training. A gap separates the parts.
+    /// training. A gap separates the parts. An episode that is too short for them is left out.
     fn partition_by_time(&self, split: &Split, window: &Window) -> Option<Partition> {
         let mut parts = [(); 3].map(|()| Vec::new());
         let windows = [window.of_one_sample(), window.of_one_sample(), window.clone()];
         for episode in self.episodes() {
-            let times = split.times(episode.len(), window.samples(), self.recording().sample_rate_hz)?;
+            let rate = self.recording().sample_rate_hz;
+            let Some(times) = split.times(episode.len(), window.samples(), rate) else { continue };
             for ((part, time), window) in parts.iter_mut().zip(times).zip(&windows) {
                 part.extend(within(window, &(episode.start + time.start..episode.start + time.end)));
             }

@@ -17,6 +17,8 @@ use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
 pub(super) const DATASET_SEED: &str = "simulation.seed";
+/// Key of the setting that distinguishes the folds of a recording, each of which is like a dataset of its own.
+pub(super) const FOLD: &str = "split.fold";
 
 impl Experiment {
     /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order. In a search with
@@ -93,7 +95,7 @@ impl Experiment {
     /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
     pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &Json)> {
         let names: Vec<&str> = run.variant_parts().0.split(',').collect();
-        let own = self.vary.iter().filter(|(key, _)| *key != DATASET_SEED).filter_map(|(key, values)| {
+        let own = self.vary.iter().filter(|(key, _)| ![DATASET_SEED, FOLD].contains(&key.as_str())).filter_map(|(key, values)| {
             let values = values.as_array().filter(|values| values.len() > 1)?;
             let value = values.iter().find(|value| names.contains(&named(key, value).as_str()))?;
             Some((key.as_str(), value))
@@ -258,7 +260,7 @@ pub(super) struct Point<'a> {
     /// Name of the axis: that of its labels, or the dotted key of the setting.
     axis: &'a str,
     /// The part of the variant that names it: `senses=camera`, `kl_weight=0.001`. Runs on several datasets belong to
-    /// the same variant, as do runs with several seeds, so the seed of the dataset has no name.
+    /// the same variant, as do runs with several seeds, so the seed of the dataset, or its fold, has no name.
     name: Option<String>,
     /// Settings by dotted key.
     settings: Vec<(&'a str, Cow<'a, Json>)>,
@@ -276,7 +278,7 @@ impl<'a> Point<'a> {
     }
 
     fn value(key: &'a str, value: &'a Json) -> Self {
-        let name = (key != DATASET_SEED).then(|| named(key, value));
+        let name = (![DATASET_SEED, FOLD].contains(&key)).then(|| named(key, value));
         Self { kind: Kind::Values, axis: key, name, settings: vec![(key, Cow::Borrowed(value))] }
     }
 

@@ -1,6 +1,6 @@
 //! Where the values of an experiment's settings come from.
 
-use super::cells::DATASET_SEED;
+use super::cells::{DATASET_SEED, FOLD};
 use super::outputs::written_key;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
 use harness_yaml::{Node, Place, Value, join};
@@ -51,9 +51,9 @@ pub fn explain(path: &Path, overrides: &[String], quick: bool) -> Result<Vec<Exp
                 (_, place) => place,
             }
         };
-        let seeds = experiment.vary.get(DATASET_SEED).map(Json::to_string);
+        let all = |key: &str| experiment.vary.get(key).map(Json::to_string);
         let sourced = |(key, value): (String, String)| {
-            let value = seeds.clone().filter(|_| key == DATASET_SEED).unwrap_or(value);
+            let value = all(&key).filter(|_| [DATASET_SEED, FOLD].contains(&key.as_str())).unwrap_or(value);
             let key = written_key(&key).filter(|key| written(&tree, key).is_some()).unwrap_or(key);
             Sourced { source: source(&key), key, value }
         };

@@ -1,6 +1,7 @@
 //! What the schemas of specs and worlds can't say.
 
 use super::origin::Origin;
+use super::split::Division;
 use harness_layout::Modality;
 use harness_yaml::{Entry, Hints, shorten};
 use serde_json::Value as Json;
@@ -12,6 +13,7 @@ fn accepts(definition: &str, text: &str) -> bool {
     match definition {
         "scenario" => Origin::try_from(text.to_owned()).is_ok(),
         "modality" => Modality::new(text).is_some(),
+        "division" => Division::new(text).is_some(),
         _ => false,
     }
 }
@@ -20,6 +22,7 @@ fn others(definition: &str) -> &'static str {
     match definition {
         "scenario" => ", the path of a world file, or the name of an imported dataset",
         "modality" => ", or a modality of another world or dataset",
+        "division" => ", or a label of an imported dataset",
         "samples" => "; a choice by the test samples would make their errors too small",
         _ => "",
     }

@@ -1,6 +1,6 @@
 //! Narrows the overrides of an experiment to one of its runs.
 
-use super::cells::{DATASET_SEED, named};
+use super::cells::{DATASET_SEED, FOLD, named};
 use super::origin::Origin;
 use super::run::RunSpec;
 use super::schema::WITHOUT;
@@ -40,7 +40,7 @@ impl RunSpec {
         for (key, axis) in given.to_json().as_object()? {
             let is_own = |name: String| self.variant.split(',').any(|own| own == name);
             let is_own_value = |value: &Json| match key.as_str() {
-                DATASET_SEED => value.as_u64() == Some(self.dataset_seed()),
+                DATASET_SEED | FOLD => value.as_u64() == Some(self.dataset_seed()),
                 _ => is_own(named(key, value)),
             };
             let own = match axis {

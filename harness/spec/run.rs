@@ -3,7 +3,8 @@
 use super::origin::Origin;
 use super::simulation::Simulation;
 use super::stored::stored;
-use super::types::{Action, Family, Network, Split, Task, TestDataset, Training, Window};
+use super::split::Split;
+use super::types::{Action, Family, Network, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -363,9 +364,10 @@ impl RunSpec {
         serde_yaml::to_string(&json).expect("a run's spec is plain data, which YAML can hold")
     }
 
-    /// Returns the seed of the dataset; 0 for an imported dataset.
+    /// Returns the seed of the dataset; the fold of an imported dataset, or 0 without folds.
     pub fn dataset_seed(&self) -> u64 {
-        self.simulation.as_ref().map_or(0, |simulation| simulation.seed)
+        let fold = self.split.fold.unwrap_or_default() as u64;
+        self.simulation.as_ref().map_or(fold, |simulation| simulation.seed)
     }
 
     /// Returns the name of the run's reading; `None` if its experiment has no readings.

@@ -4,29 +4,14 @@
 use super::origin::Origin;
 use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
+use super::split::Split;
 use super::world::World;
 use harness_layout::{GivenScalings, Layout, Modality, by_modality, names, scalings_schema};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::sync::Arc;
-
-/// The unit that a split divides.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Division {
-    /// Whole episodes. The episodes of the test set are not used in training.
-    #[default]
-    Episode,
-    /// The time of each episode. Its first part is for training, followed by a gap, validation, a gap and the test.
-    Time,
-    /// Transitions drawn at random, the same for all seeds. This split leaks: most test samples have a neighbor in
-    /// training that is one sampling interval away, so errors are smaller than on new data.
-    Sample,
-}
-names!(Division { Episode => "episode", Time => "time", Sample => "sample" });
 
 /// The action that conditions the decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -407,26 +392,6 @@ impl Network {
     }
 }
 
-/// How a dataset is divided into training, validation and test set.
-#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Split {
-    /// The unit that is divided.
-    pub by: Division,
-    /// Share for validation, in (0, 1). It is rounded to whole episodes or samples, and to at least one transition.
-    #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
-    #[default(0.1)]
-    pub validation: f64,
-    /// Share for the test, in (0, 1), rounded in the same way.
-    #[schemars(extend("exclusiveMinimum" = 0.0, "exclusiveMaximum" = 1.0))]
-    #[default(0.1)]
-    pub test: f64,
-    /// Time that a split by time leaves out between training and validation, and between validation and test, s. The
-    /// default is 5. It is taken from the training set.
-    #[schemars(range(min = 0.0, max = 3600.0))]
-    pub gap_seconds: Option<f64>,
-}
-
 /// The dataset on which runs are tested. Its episodes are simulated like those that a run is trained on, with the same
 /// settings except their number and seed, but from random streams of their own. Equal seeds therefore give other
 /// motions. The dataset of the run is divided into training and validation only, and `split.test` has no effect.
@@ -533,42 +498,6 @@ pub struct Training {
     pub device: Device,
 }
 
-impl Split {
-    /// The default gap of a split by time, s: five actuations of the default duration. The autocorrelation of the
-    /// finger's angles is 0.19 after 1 s, 0.04 after 2 s and 0.00 after 5 s (cluttered scenario). Samples before and
-    /// after the gap therefore have only the positions of the pushed boxes in common.
-    pub(crate) const GAP_SECONDS: f64 = 5.0;
-
-    /// Divides `all` episodes or transitions; `None` if none would be left for training. None are for the test if it
-    /// has a dataset of its own.
-    pub fn counts(&self, all: usize, has_own_test: bool) -> Option<SplitCounts> {
-        if !has_own_test {
-            return self.divide(all, 0, 1);
-        }
-        let validation = ((all as f64 * self.validation).round() as usize).max(1);
-        let training = all.checked_sub(validation).filter(|left| *left > 0)?;
-        Some(SplitCounts { training, validation, test: 0 })
-    }
-
-    /// Splits an episode of `samples` samples by time into the ranges for training, validation and test. Each has at
-    /// least `least` samples, the length of a window; `None` if fewer would be left for training.
-    pub fn times(&self, samples: usize, least: usize, sample_rate_hz: f64) -> Option<[Range<usize>; 3]> {
-        let seconds = self.gap_seconds.unwrap_or(Self::GAP_SECONDS);
-        let gap = (seconds * sample_rate_hz - 1e-9).ceil().max(0.0) as usize;
-        let SplitCounts { training, validation, test } = self.divide(samples, gap, least)?;
-        let (second, third) = (training + gap, samples - test);
-        Some([0..training, second..second + validation, third..samples])
-    }
-
-    /// Divides `all` items with two gaps of `gap` items between the parts. Each part has at least `least` items.
-    fn divide(&self, all: usize, gap: usize, least: usize) -> Option<SplitCounts> {
-        let share = |fraction: f64| ((all as f64 * fraction).round() as usize).max(least);
-        let (validation, test) = (share(self.validation), share(self.test));
-        let training = all.checked_sub(validation + test + 2 * gap).filter(|&n| n >= least)?;
-        Some(SplitCounts { training, validation, test })
-    }
-}
-
 /// Consecutive samples of an episode: what a model has seen, and what it predicts. A window is named by its present
 /// sample, the last one that the model has seen.
 #[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
@@ -634,17 +563,6 @@ impl Window {
         let shorter = HORIZONS.into_iter().filter(|horizon| *horizon < self.horizon);
         shorter.chain([self.horizon]).collect()
     }
-}
-
-/// Numbers of episodes, samples or transitions in each part of a split.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SplitCounts {
-    /// Number in the training set.
-    pub training: usize,
-    /// Number in the validation set.
-    pub validation: usize,
-    /// Number in the test set.
-    pub test: usize,
 }
 
 impl Training {

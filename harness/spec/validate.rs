@@ -5,9 +5,10 @@ use super::outputs::written_key;
 use super::schema::is_axis;
 use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
+use super::split::{Division, Split, Tested};
 use super::types::{
-    Device, Division, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading,
-    Settings, Split, Task, Training, WindowStart,
+    Device, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading, Settings, Task, Training,
+    WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
@@ -607,7 +608,7 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
             format!("an episode lasts {seconds} s; use a shorter time or more actuations_per_episode"),
         );
     }
-    if window.start == WindowStart::Rest && split.by != Division::Episode {
+    if window.start == WindowStart::Rest && !split.by.keeps_episodes() {
         return fault(
             "window.start",
             format!(
@@ -671,7 +672,30 @@ fn memory(experiment: &Experiment) -> Result<(), Fault> {
 
 fn split(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { split, simulation, window, scenarios, .. } = experiment;
-    let (by, validation, test) = (split.by, split.validation, split.test);
+    let (by, validation, test) = (split.by, split.validation, &split.test);
+    let is_simulated = scenarios.iter().any(|origin| experiment.world(origin).is_some());
+    let named = matches!(split.test, Tested::Groups(_));
+    if let (true, Division::Label(label)) = (is_simulated, by) {
+        let names: Vec<&str> = Division::ALL.iter().map(|division| division.name()).collect();
+        let message = unknown("division", label, "split.by", &names, str::to_owned);
+        return fault("split.by", format!("{message}; only recordings have labels"));
+    }
+    if is_simulated && split.folds.is_some() {
+        return fault(
+            "split.folds",
+            "folds are for recordings; simulate several datasets instead, with vary: {simulation.seed: [0, 1, 2]}",
+        );
+    }
+    if split.fold.is_some_and(|fold| split.folds.is_none_or(|folds| fold >= folds)) {
+        return fault("split.fold", "there is no such fold; they count from 0 to below split.folds");
+    }
+    for (key, is_set) in [("folds", split.folds.is_some()), ("seed", split.seed.is_some()), ("test", named)] {
+        if is_set && !by.keeps_episodes() {
+            let message =
+                format!("a split by {by} has no groups; leave it out, or use split.by: episode or a label");
+            return fault(format!("split.{key}"), message);
+        }
+    }
     if experiment.test.is_some() {
         return test_dataset(experiment);
     }
@@ -682,7 +706,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
         );
     }
     // The episodes of an imported dataset are not those of `simulation`. They are checked when it is opened.
-    if !scenarios.iter().any(|origin| experiment.world(origin).is_some()) {
+    if !is_simulated {
         return Ok(());
     }
     let (episodes, samples) = (simulation.episodes as usize, simulation.samples_per_episode());
@@ -695,7 +719,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
                  {episodes}; use more, or split.by: time, which divides each episode"
             ),
         ),
-        Division::Episode if split.counts(episodes, false).is_none() => fault(
+        Division::Episode if !named && split.counts(episodes, false).is_none() => fault(
             "split",
             format!(
                 "validation {validation} and test {test} of {episodes} episodes leave none for training; \
@@ -727,7 +751,7 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
 /// Refuses a dataset for the test that can't be simulated, or that leaves no episodes for training.
 fn test_dataset(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { split, simulation, scenarios, .. } = experiment;
-    if split.by != Division::Episode {
+    if split.by != Division::Episode || split.has_groups() {
         return fault(
             "test",
             format!(

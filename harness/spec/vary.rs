@@ -1,5 +1,6 @@
 //! Writes every axis of `vary` in its full form: a list of values, or labels with all of their settings.
 
+use super::cells::FOLD;
 use super::hints::HINTS;
 use super::schema::{self, EXTENDS, WITHOUT};
 use harness_yaml::{Entry, Node, Problem, Value, unknown};
@@ -25,6 +26,7 @@ const INPUT: &str = "input";
 /// of an ablation has a single modality.
 pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
     move_horizons(tree)?;
+    list_folds(tree)?;
     let input = tree.get(INPUT).cloned();
     axes(tree.get_mut(VARY), input.as_ref())?;
     let Some(quick) = tree.get_mut("quick") else { return Ok(()) };
@@ -40,6 +42,25 @@ fn move_horizons(tree: &mut Node) -> Result<(), Problem> {
     let axis = Entry { key: HORIZON.to_owned(), ..window.remove(index) };
     let Value::Section(entries) = &mut tree.value else { return Ok(()) };
     make_first_axis(entries, axis, HORIZON)
+}
+
+/// Makes a run for each fold, unless the spec names one.
+fn list_folds(tree: &mut Node) -> Result<(), Problem> {
+    let Some(split) = tree.get("split") else { return Ok(()) };
+    let is_one = split.get("fold").is_some_and(|fold| !matches!(fold.value, Value::Null));
+    let Some(Node { value: Value::Integer(folds), place }) = split.get("folds").filter(|_| !is_one) else {
+        return Ok(());
+    };
+    // Too many are refused later.
+    let values = serde_json::json!((0..(*folds).clamp(0, 1000)).collect::<Vec<_>>());
+    let axis = Entry { key: FOLD.to_owned(), key_place: place.clone(), node: Node::of_json(&values, place) };
+    let Value::Section(entries) = &mut tree.value else { return Ok(()) };
+    if let Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) =
+        entries.iter_mut().find(|entry| entry.key == VARY)
+    {
+        axes.retain(|axis| axis.key != FOLD);
+    }
+    make_first_axis(entries, axis, FOLD)
 }
 
 /// Adds the first axis to a spec. `origin` is the key that had its values.

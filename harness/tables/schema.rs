@@ -188,7 +188,7 @@ fn run_details() -> Vec<Column> {
         ),
         text("dataset", "the dataset's folder"),
         text("test_dataset", "the folder of the dataset that only the test uses; null if the run has none"),
-        integer("dataset_seed", "seed of the dataset; null if it was imported"),
+        integer("dataset_seed", "seed of the dataset; the fold of a recording, or null without folds"),
         text("world_version", "version of the simulated world; null if it was imported, or is not known"),
         text("reading", "the reading of the paper; null if the experiment has none"),
         text(

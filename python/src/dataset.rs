@@ -185,8 +185,9 @@ impl Dataset {
         if let Some(gap) = gap_seconds.filter(|gap| !(0.0..=3600.0).contains(gap)) {
             return wrong(format!("gap_seconds: {gap} must be in [0, 3600]"));
         }
+        let split = Split { by, validation, test: test.into(), gap_seconds, ..Split::default() };
         let Some(partition) =
-            self.samples.partition(&Split { by, validation, test, gap_seconds }, &Window::TRANSITION)
+            self.samples.partition(&split, &Window::TRANSITION)
         else {
             let episodes = self.samples.episodes().len();
             return wrong(format!(

@@ -28,7 +28,7 @@ from harness.recorded import (
     write_episode,
 )
 
-from .labels import unified
+from .labels import TRIAL, unified
 from .mapping import KNOWN, Mapping, MappingError
 from .recording import Recording
 
@@ -177,11 +177,18 @@ def _identity(
         "name": mapping.name,
         "sample_rate_hz": rate,
         "modalities": [name for name in mapping.selections if name != "setpoint"],
+        "split": mapping.text.get("split") or _default_split(labels),
         "episodes": [
             {"samples": draft.samples, "sha256": draft.digest, "labels": texts[draft.index]} for draft in drafts
         ],
     }
     return {"format": FORMAT, "imported": content}
+
+
+def _default_split(labels: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns how runs divide the dataset unless they ask for another split: whole trials at random, or the time of a
+    recording of so few trials that training, validation and test can't have one each."""
+    return {"by": TRIAL, "seed": 0} if len({each[TRIAL] for each in labels}) >= 3 else {"by": "time"}
 
 
 def _layout(mapping: Mapping, named: dict[str, list[str]]) -> Layout:
