@@ -520,11 +520,13 @@ fn a_split_by_time_trains_on_each_episodes_start_before_a_gap() {
     assert_eq!(training, expected(0..59));
     assert_eq!(validation, expected(110..129));
     assert_eq!(test, expected(180..199));
-    let narrow = Split { gap_seconds: Some(0.25), test: 0.2, ..split(Division::Time) };
+    let narrow = Split { gap_seconds: Some(0.25), test: 0.2.into(), ..split(Division::Time) };
     let Partition { training, validation, test } = samples.partition(&narrow, &Window::TRANSITION).unwrap();
     assert_eq!((training.len(), validation[0], test[0]), (2 * 133, Sample::at(137), Sample::at(160)));
-    // If an episode is too short for the gaps, there is nothing to train on.
-    assert_eq!(ramps(0, &[200, 100]).partition(&split(Division::Time), &Window::TRANSITION), None);
+    // An episode that is too short for the gaps is left out. If all are, there is nothing to train on.
+    let partition = |lengths: &[usize]| ramps(0, lengths).partition(&split(Division::Time), &Window::TRANSITION);
+    assert_eq!(partition(&[200, 100]), partition(&[200]));
+    assert_eq!(partition(&[100, 100]), None);
 }
 
 #[test]

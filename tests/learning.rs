@@ -721,7 +721,8 @@ impl Bench {
     /// Describes the trained network.
     fn description(&self) -> Description {
         let (losses, normalizers) = (&self.training.losses, &self.data.normalizers);
-        Description::new(&self.architecture(), Task::Prediction, Action::Increment, losses, normalizers)
+        let window = &Window::TRANSITION;
+        Description::new(&self.architecture(), Task::Prediction, Action::Increment, losses, normalizers, window)
             .unwrap()
     }
 
@@ -1259,7 +1260,8 @@ fn described_parameters(architecture: &Architecture) -> Vec<String> {
     let normalizers = Bench::new().data.normalizers;
     let losses = BTreeMap::new();
     let description =
-        Description::new(architecture, Task::Prediction, Action::Increment, &losses, &normalizers).unwrap();
+        Description::new(architecture, Task::Prediction, Action::Increment, &losses, &normalizers, &Window::TRANSITION)
+            .unwrap();
     let text: serde_json::Value = serde_json::from_str(&description.json()).unwrap();
     let layers = ["encoder", "decoder"].into_iter().flat_map(|part| text[part].as_array().unwrap());
     let values = layers.flat_map(|layer| {

@@ -591,7 +591,7 @@ fn rules_that_tie_settings_together_are_checked() {
 
 #[test]
 fn shares_become_whole_episodes_of_each_kind() {
-    let counts = |episodes| Split { validation: 0.1, test: 0.2, ..Split::default() }.counts(episodes, false);
+    let counts = |episodes| Split { validation: 0.1, test: 0.2.into(), ..Split::default() }.counts(episodes, false);
     assert_eq!(counts(40), Some(SplitCounts { training: 28, validation: 4, test: 8 }));
     assert_eq!(counts(3), Some(SplitCounts { training: 1, validation: 1, test: 1 }));
     assert_eq!(counts(2), None);
@@ -1728,7 +1728,8 @@ fn random_split(random: &mut impl Rng) -> Split {
     let mut share = || random.random_range(0.01..0.3);
     let (validation, test) = (share(), share());
     // An episode may have only six samples, two for each part.
-    Split { by, validation, test, gap_seconds: (by == Division::Time).then_some(0.0) }
+    let gap_seconds = (by == Division::Time).then_some(0.0);
+    Split { by, validation, test: test.into(), gap_seconds, ..Split::default() }
 }
 
 fn random_scaling(modality: Modality, random: &mut impl Rng) -> GivenScaling {

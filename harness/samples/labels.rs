@@ -57,7 +57,7 @@ impl Labels {
         for (value, samples) in values.iter().zip(samples) {
             match groups.iter_mut().find(|(name, _)| name == value) {
                 Some((_, all)) => *all += samples,
-                None => groups.push((value, *samples)),
+                None => groups.push((value.as_str(), *samples)),
             }
         }
         let number = |(name, _): &(&str, usize)| name.parse::<i64>().ok();

@@ -5,15 +5,15 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sha2::{Digest, Sha256};
 use smart_default::SmartDefault;
 use std::fmt;
 use std::ops::Range;
 
 /// The unit that a split divides.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub enum Division {
     /// Whole episodes. The episodes of the test set are not used in training.
     #[default]
@@ -29,7 +29,7 @@ pub enum Division {
 
 impl Division {
     /// Every value but the labels, in the order of declaration.
-    pub const ALL: [Self; 3] = [Self::Episode, Self::Time, Self::Sample];
+    pub const ALL: &'static [Self] = &[Self::Episode, Self::Time, Self::Sample];
 
     /// Returns the name in specs, tables and file names.
     pub const fn name(self) -> &'static str {
@@ -43,7 +43,7 @@ impl Division {
 
     /// Returns the division of this name; `None` if it can't be that of a label either.
     pub fn new(name: &str) -> Option<Self> {
-        let known = Self::ALL.into_iter().find(|division| division.name() == name);
+        let known = Self::ALL.iter().copied().find(|division| division.name() == name);
         known.or_else(|| is_name(name).then(|| Self::Label(intern(name))))
     }
 
@@ -59,17 +59,16 @@ impl fmt::Display for Division {
     }
 }
 
-impl TryFrom<String> for Division {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        Self::new(&name).ok_or_else(|| format!("'{name}' names no label"))
+impl Serialize for Division {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
     }
 }
 
-impl From<Division> for String {
-    fn from(division: Division) -> Self {
-        division.name().to_owned()
+impl<'de> Deserialize<'de> for Division {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::new(&name).ok_or_else(|| D::Error::custom(format!("'{name}' names no label")))
     }
 }
 
@@ -93,7 +92,7 @@ impl JsonSchema for Division {
                  neighbor in\ntraining that is one sampling interval away, so errors are smaller than on new data.",
             ),
         ];
-        let names = Self::ALL.map(Self::name);
+        let names: Vec<&str> = Self::ALL.iter().map(|division| division.name()).collect();
         let label = json_schema!({
             "description": "The episodes with one value of this label of an imported dataset.",
             "type": "string", "pattern": "^[a-z][a-z0-9_]{0,63}$", "not": { "enum": names },

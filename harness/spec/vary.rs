@@ -52,7 +52,7 @@ fn list_folds(tree: &mut Node) -> Result<(), Problem> {
         return Ok(());
     };
     // Too many are refused later.
-    let values = serde_json::json!((0..(*folds).clamp(0, 1000)).collect::<Vec<_>>());
+    let values = serde_json::json!((0..(*folds).clamp(0, 1000) as u64).collect::<Vec<_>>());
     let axis = Entry { key: FOLD.to_owned(), key_place: place.clone(), node: Node::of_json(&values, place) };
     let Value::Section(entries) = &mut tree.value else { return Ok(()) };
     if let Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) =

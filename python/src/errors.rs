@@ -119,7 +119,7 @@ impl Raise for ExperimentError {
             Self::Simulation(error) => error.raise(),
             Self::Registry(error) => error.raise(),
             Self::NoTraining
-            | Self::Dataset(DatasetError::TooShort { .. })
+            | Self::Dataset(DatasetError::TooShort { .. } | DatasetError::Split { .. })
             | Self::Learning(LearningError::Device { .. }) => self.value_error(),
             Self::Submission(SubmissionError::Held { .. }) => self.runtime_error(),
             Self::Submission(_) => self.value_error(),

@@ -7,6 +7,7 @@ import shlex
 import sys
 from pathlib import Path
 
+from harness import _harness
 from harness.importing import run_import
 from harness.importing.inspection import first_mapping, inspect
 from harness.importing.recording import table
@@ -83,6 +84,10 @@ def _inspect(source: Path, output: Path | None) -> None:
             f"{output} is there already, and was not changed; name another file with --output MAPPING"
         ) from None
     print(f"{output}: a first mapping; edit it, then import it with `harness import {shlex.quote(str(output))}`")
+    try:
+        _harness.read_mapping(output)
+    except ValueError as error:
+        print(f"it can't be imported yet, because something could not be guessed: {error}")
 
 
 if __name__ == "__main__":

@@ -31,10 +31,10 @@ def takes(mapping: Mapping) -> Iterator[Take]:
         FileNotFoundError: a file is missing.
     """
     assert mapping.sampling
-    by_column = mapping.sampling.divided_by.get("episode")
+    by_column, clocks = mapping.sampling.divided_by.get("episode"), _clocks(mapping.sampling.streams)
     for star in _stars(mapping, mapping.sampling.streams):
         tables: dict[Path, Table] = {}
-        streams = {name: _open(mapping, settings, star, tables) for name, settings in mapping.sampling.streams.items()}
+        streams = {name: _open(mapping, each, star, tables, clocks) for name, each in mapping.sampling.streams.items()}
         files = {settings.where.get("file", "") for settings in mapping.sampling.streams.values()}
         place = files.pop().replace("*", star) if len(files) == 1 else star
         name = str(mapping.source / place)
@@ -60,14 +60,27 @@ def _stars(mapping: Mapping, streams: dict[str, StreamSettings]) -> list[str]:
     for pattern in patterns:
         before, _, after = pattern.partition("*")
         expression = re.compile(f"{re.escape(before)}([^/]*){re.escape(after)}")
-        paths = [path.relative_to(mapping.source).as_posix() for path in matching(mapping.source, pattern)]
+        # The table of labels is no trial.
+        labels = (mapping.folder / mapping.text.get("episodes", "")).resolve()
+        files = [path for path in matching(mapping.source, pattern) if path.resolve() != labels]
+        paths = [path.relative_to(mapping.source).as_posix() for path in files]
         found |= {match[1] for match in map(expression.fullmatch, paths) if match}
     if patterns and not found:
         raise FileNotFoundError(f"source: {mapping.source} holds no {' and no '.join(patterns)}")
     return sorted(found, key=lambda star: natural(Path(star))) or [""]
 
 
-def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Path, Table]) -> Stream:
+def _clocks(streams: dict[str, StreamSettings]) -> dict[str, set[str]]:
+    """Returns the columns that are times of a stream, by the streams' file."""
+    clocks: dict[str, set[str]] = {}
+    for settings in streams.values():
+        clocks.setdefault(settings.where.get("file", ""), set()).add(settings.where.get("time", ""))
+    return clocks
+
+
+def _open(
+    mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Path, Table], clocks: dict[str, set[str]]
+) -> Stream:
     def file(key: str) -> Path:
         path = mapping.source / settings.where[key].replace("*", star) if key in settings.where else mapping.source
         if not path.exists():
@@ -84,7 +97,7 @@ def _open(mapping: Mapping, settings: StreamSettings, star: str, tables: dict[Pa
     if not path.is_dir() and path.suffix.lower() not in VIDEOS:
         if "times" in where:
             raise settings.error(f"times: is for videos and folders of images, and {path} is neither")
-        return TableStream(table("file"), settings)
+        return TableStream(table("file"), settings, clocks.get(where.get("file", ""), set()))
     frames: Video | Folder = Folder(settings.name, path) if path.is_dir() else Video(settings.name, path)
     if "times" in where:
         if "time" not in where:
@@ -166,13 +179,13 @@ class Table:
     def __init__(self, path: Path):
         self.path = path
         with blaming(str(path)):
-            skipped, header = _header(path)
-        self.separator = max(SEPARATORS, key=header.count)
+            skipped, names_line = header(path)
+        self.separator = max(SEPARATORS, key=names_line.count)
         self.first_line = skipped + 2
         """The line of row 0, if no value contains a line break."""
         line = f"{path}: line {skipped + 1}"
         with blaming(line):
-            names = next(csv.reader(io.StringIO(header), delimiter=self.separator), [])
+            names = next(csv.reader(io.StringIO(names_line), delimiter=self.separator), [])
         self.names = [name.strip() for name in names]
         if not any(self.names):
             raise MappingError(f"{line}: there is no header with the names of the columns")
@@ -267,7 +280,7 @@ class Table:
         return f"{self.path}: can't be read: {' '.join(str(error).split())}"
 
 
-def _header(path: Path) -> tuple[int, str]:
+def header(path: Path) -> tuple[int, str]:
     """Returns the number of lines above the header, and the header.
 
     Raises:
@@ -283,13 +296,13 @@ def _header(path: Path) -> tuple[int, str]:
             if "\0" in text:
                 raise MappingError(f"{path}: line {skipped + 1}: is no text: it contains a byte 0")
             if text.strip() and not text.startswith(COMMENT):
-                header = text.rstrip("\r\n")
-                if "\r" in header:
+                names = text.rstrip("\r\n")
+                if "\r" in names:
                     raise MappingError(
                         f"{path}: line {skipped + 1}: the lines end in CR alone; save the file with lines that end in "
                         "LF or CR LF"
                     )
-                return skipped, header
+                return skipped, names
             skipped += 1
     raise MappingError(f"{path}: line {skipped + 1}: the file ends before a header with the names of the columns")
 
@@ -297,10 +310,11 @@ def _header(path: Path) -> tuple[int, str]:
 class TableStream(Stream):
     """The rows of a CSV file."""
 
-    def __init__(self, table: Table, settings: StreamSettings):
+    def __init__(self, table: Table, settings: StreamSettings, clocks: set[str]):
         self.table, self.place = table, str(table.path)
         self._prefix = f"{settings.name}."
-        self.columns = [f"{self._prefix}{name}" for name in table.names]
+        # No pattern means the times of the rows.
+        self.columns = [f"{self._prefix}{name}" for name in table.names if name not in clocks]
         if "time" in settings.where:
             self.times = table.times(settings.where["time"], settings.time_unit)
         elif settings.rate_hz:

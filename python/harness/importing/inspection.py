@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import json
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -25,11 +27,15 @@ from .video import VIDEOS, Folder, Video
 SETPOINT = re.compile(r"set_?point|command|cmd|action|target|desired|goal", re.IGNORECASE)
 """What the names of setpoints often contain."""
 TIME = re.compile(
-    r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]?(s|ms|us|ns))?", re.IGNORECASE
+    r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]*[(\[]?(s|ms|us|ns)[)\]]?)?", re.IGNORECASE
 )
 """What times are often called."""
+UNIT = re.compile(r"[_ ]*[(\[]([^()\[\]\d][^()\[\]]*)[)\]]\s*$")
+"""The unit at the end of a column's name, as in `Force [N]`."""
 PLAIN = re.compile(r"(\.{1,2}/)*[A-Za-z_/][A-Za-z0-9_/.-]*")
 """Texts that need no quotes in a mapping, besides words such as `true`."""
+TABLES = (".csv", ".txt", ".tsv")
+"""What the names of tables end in."""
 SKIPPED_TOPICS = ("/rosout", "/parameter_events", "/tf", "/tf_static", "/events/write_split")
 
 
@@ -47,6 +53,8 @@ class Found:
     """The stream's rate."""
     gap_s: float = 0.0
     """The stream's longest gap."""
+    units: dict[str, str] = field(default_factory=dict)
+    """The units of its modalities, where the header says them."""
 
 
 @dataclass
@@ -80,7 +88,7 @@ def inspect(path: Path) -> Contents:
         (_some(path, hdf5.SUFFIXES), _hdf5),
         (_some(path, matlab.SUFFIXES), _matlab),
         (_some(path, (".parquet",), ("**/*.parquet",)), _parquet),
-        (_some(path, (".csv", ".txt", ".tsv"), ("*/*.csv",)), _csv),
+        (_some(path, TABLES, ("*/*.csv",)), _csv),
     )
     for matches, read in readers:
         if matches:
@@ -116,7 +124,8 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
     if setpoint:
         lines.append(f"  setpoint: {setpoint[1]}      # a guess: what the robot was commanded")
     else:
-        lines.append("  setpoint:      # fill in: what the robot was commanded; one of the lines below")
+        lines.append("  setpoint: none      # a guess: nothing was commanded; or one of the lines below")
+    units = {name: unit for each in contents.found for name, unit in each.units.items()}
     taken = {*_harness.reserved_names(), *KNOWN}
     has_vision = False
     for wish, term, is_image in modalities:
@@ -127,7 +136,7 @@ def first_mapping(contents: Contents, source: Path, folder: Path) -> str:
             lines.append(f"  vision: {term}")
             continue
         name = _free(wish, taken)
-        rest = f"size: {KNOWN['vision']['size']}" if is_image else 'unit: ""'
+        rest = f"size: {KNOWN['vision']['size']}" if is_image else f"unit: {json.dumps(units.get(wish, ''))}"
         lines.append(f"  {name}: {{from: {term}, {rest}}}")
     return "\n".join(lines) + "\n"
 
@@ -331,7 +340,7 @@ def _csv(path: Path) -> Contents:
     taken: set[str] = set()
     clocks: dict[str, str] = {}
     for pattern, file in _files(path):
-        stream = _free(file.stem if pattern != "*.csv" else "log", taken)
+        stream = _free("log" if pattern.startswith("*.") else file.stem, taken)
         key = f"file: {quoted(pattern)}, " if pattern else ""
         if file.is_dir():
             images = Folder(stream, file)
@@ -343,17 +352,29 @@ def _csv(path: Path) -> Contents:
             lines.append(f"  {pattern}: video, {video.count} frames, {rate or 0:.4g} Hz")
             found.append(Found(stream, key.rstrip(", "), [(stream, stream, True)], rate, gap))
         else:
-            table = _of_table(stream, key, csv.Table(file), pattern or str(file), lines)
-            if table.columns:
-                found.append(table)
-            elif table.rate_hz:
+            tables = _of_table(stream, key, csv.Table(file), pattern or str(file), lines, taken)
+            found += [table for table in tables if table.columns]
+            if not any(table.columns for table in tables) and tables[0].rate_hz:
                 # A file of times alone has those of the frames that are called like it.
-                clocks[file.stem] = table.settings.replace("file:", "times:")
+                clocks[file.stem] = tables[0].settings.replace("file:", "times:")
     for each in found:
         stem = each.columns[0][0].removesuffix("_2")
         if each.columns[0][2] and stem in clocks:
             each.settings = f"{each.settings.removesuffix(', rate_hz: ')}, {clocks[stem]}"
-    return Contents("csv", lines, found)
+    files = {each.settings.split(",")[0] for each in found}
+    return Contents("csv", lines, found, _trial(path) if len(files) == 1 else [])
+
+
+def _trial(path: Path) -> list[str]:
+    """Returns the key `trial` of files that are called by what they show and a number."""
+    names = [] if path.is_file() else [each.stem for each in path.iterdir() if each.suffix.lower() in TABLES]
+    parts = [re.fullmatch(r"(.*[^\d_ -])([_ -])(\d+)", name) for name in names]
+    shown = {part[1] for part in parts if part}
+    separators = {part[2] for part in parts if part}
+    if len(names) < 2 or len(shown) < 2 or not all(parts) or len(separators) > 1:
+        return []
+    pattern = f"{{object}}{separators.pop()}{{number:int}}"
+    return [f"trial: {quoted(pattern)}      # a guess: labels of the episodes, from the names of the files"]
 
 
 def _files(path: Path) -> Iterator[tuple[str, Path]]:
@@ -361,7 +382,7 @@ def _files(path: Path) -> Iterator[tuple[str, Path]]:
     if path.is_file():
         yield "", path
         return
-    videos = (".csv", *VIDEOS)
+    videos = (*TABLES, *VIDEOS)
     own = sorted((each for each in path.iterdir() if each.suffix.lower() in videos), key=natural)
     inner = sorted((each for each in path.iterdir() if each.is_dir() and any(each.glob("*.csv"))), key=natural)
     if inner:
@@ -369,19 +390,52 @@ def _files(path: Path) -> Iterator[tuple[str, Path]]:
             if each.suffix.lower() in videos or each.is_dir():
                 yield f"*/{each.name}", each
         return
-    # Files that are numbered are episodes of one stream. Others are streams of one episode.
-    numbered = len({re.sub(r"\d+", "*", each.name) for each in own}) < len(own)
-    seen = set()
+    # Files with the same columns are episodes of one stream. Others are streams of one episode.
+    alike: dict[Any, list[Path]] = {}
     for each in own:
-        pattern = re.sub(r"\d+", "*", each.name, count=1) if numbered else each.name
-        if pattern not in seen:
-            seen.add(pattern)
-            yield pattern, each
+        alike.setdefault(_kind(each), []).append(each)
+    several = len(alike) > 1
+    for files in alike.values():
+        if len(files) == 1 and several:
+            yield files[0].name, files[0]
+            continue
+        names = [each.name for each in files]
+        before, after = os.path.commonprefix(names), os.path.commonprefix([name[::-1] for name in names])[::-1]
+        # The number of an episode may begin or end like those of others.
+        before, after = re.sub(r"\d+$", "", before), re.sub(r"^\d+", "", after)
+        pattern = f"{before}*{after}" if several else f"*{files[0].suffix}"
+        yield (files[0].name if len(own) == 1 else pattern), files[0]
 
 
-def _of_table(stream: str, key: str, table: csv.Table, place: str, lines: list[str]) -> Found:
+def _kind(path: Path) -> Any:
+    """Returns what files of one stream have in common: the columns of tables, or the ending and the name of others."""
+    if path.suffix.lower() in TABLES:
+        with contextlib.suppress(MappingError, OSError):
+            return csv.header(path)[1]
+    return path.suffix.lower(), re.sub(r"\d+", "*", path.stem)
+
+
+def _of_table(
+    stream: str, key: str, table: csv.Table, place: str, lines: list[str], taken: set[str]
+) -> list[Found]:
+    """Returns a stream of a file, or one for each column of times, with the columns that begin like it."""
     lines.append(f"  {place}: {len(table.frame)} rows")
-    time = next((name for name in table.names if TIME.fullmatch(name)), None)
+    times = [name for name in table.names if TIME.fullmatch(name)]
+    prefixes = {name: re.split(r"[^_/ -]*$", name)[0] for name in times}
+    clocks = [name for name in times if sum(other.startswith(prefixes[name]) for other in table.names) > 1]
+    if len(times) > 1 and all(prefixes.values()) and len(set(prefixes.values())) == len(times):
+        own = {name: [each for each in table.names if each.startswith(prefixes[name])] for name in clocks}
+        streams = [_free(prefixes[name], taken) for name in clocks]
+        both = zip(streams, clocks, strict=True)
+        return [_of_columns(stream, key, table, own[name], name, lines) for stream, name in both]
+    names = [name for name in table.names if name not in times[1:]]
+    return [_of_columns(stream, key, table, names, times[0] if times else None, lines)]
+
+
+def _of_columns(
+    stream: str, key: str, table: csv.Table, columns: list[str], time: str | None, lines: list[str]
+) -> Found:
+    """Returns a stream of some columns of a table."""
     each = Found(stream, f"{key}rate_hz: ")
     if time:
         with_unit = re.search(r"[_ (\[](ms|us|ns)[)\]]?$", time)
@@ -393,20 +447,23 @@ def _of_table(stream: str, key: str, table: csv.Table, place: str, lines: list[s
         each.rate_hz, each.gap_s = _rate(times / 1e9)
         each.settings = f"{key}time: {quoted(time)}" + (f", time_unit: {unit}" if unit != "s" else "")
     groups: dict[str, list[str]] = {}
-    for name in table.names:
+    for name in columns:
         texts = table.frame[name]
         numbers = texts.str.strip_chars().str.replace(",", ".", literal=True).cast(pl.Float64, strict=False)
         is_numeric = numbers.null_count() < len(numbers)
         shown = ", ".join(str(value) for value in texts.head(3).to_list())
         lines.append(f"    {name}  {'numbers' if is_numeric else 'text'}: {shown}, …")
         if is_numeric and name != time:
-            groups.setdefault(re.sub(r"[_ ]?\d+$", "", name) or name, []).append(name)
+            groups.setdefault(re.sub(r"([_ ]?\d+|\[\d+\])$", "", name) or name, []).append(name)
     for base, names in groups.items():
         patterns = [f"{base}*", f"{base}?", f"{base}_?", f"{base}_*"]
-        fitting = [each for each in patterns if fnmatch.filter(table.names, each) == names]
+        fitting = [each for each in patterns if fnmatch.filter(table.names, each) == names and "[" not in each]
         single = quoted(f"{stream}.{names[0]}")
         term = single if len(names) == 1 else quoted(f"{stream}.{fitting[0]}") if fitting else _list(stream, names)
-        each.columns.append((f"{stream}_{base}", term, False))
+        unit = UNIT.search(base)
+        name = base.removesuffix(unit[0]) if unit else base
+        each.columns.append((f"{stream}_{name}", term, False))
+        each.units[f"{stream}_{name}"] = unit[1] if unit else ""
     return each
 
 

@@ -177,7 +177,7 @@ def _identity(
         "name": mapping.name,
         "sample_rate_hz": rate,
         "modalities": [name for name in mapping.selections if name != "setpoint"],
-        "split": mapping.text.get("split") or _default_split(labels),
+        "split": _split(mapping.text.get("split"), labels),
         "episodes": [
             {"samples": draft.samples, "sha256": draft.digest, "labels": texts[draft.index]} for draft in drafts
         ],
@@ -185,10 +185,22 @@ def _identity(
     return {"format": FORMAT, "imported": content}
 
 
-def _default_split(labels: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns how runs divide the dataset unless they ask for another split: whole trials at random, or the time of a
-    recording of so few trials that training, validation and test can't have one each."""
-    return {"by": TRIAL, "seed": 0} if len({each[TRIAL] for each in labels}) >= 3 else {"by": "time"}
+def _split(asked: dict[str, Any] | None, labels: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns how runs divide the dataset unless they ask for another split: as the mapping says, or whole trials at
+    random, or the time of a recording of so few trials that training, validation and test can't have one each."""
+    if asked is None:
+        return {"by": TRIAL, "seed": 0} if len({each[TRIAL] for each in labels}) >= 3 else {"by": "time"}
+    by = asked["by"]
+    if by in ("episode", "time", "sample"):
+        return asked
+    if by not in labels[0]:
+        raise MappingError(f"split.by: there is no label '{by}'; the labels are {', '.join(labels[0])}")
+    values = {str(each[by]) for each in labels}
+    tested = asked["test"] if isinstance(asked.get("test"), list) else []
+    for value in tested:
+        if str(value) not in values:
+            raise MappingError(f"split.test: no episode has the {by} {value}; there are {', '.join(sorted(values))}")
+    return {"seed": 0} | asked
 
 
 def _layout(mapping: Mapping, named: dict[str, list[str]]) -> Layout:
