@@ -524,7 +524,8 @@ fn a_split_by_time_trains_on_each_episodes_start_before_a_gap() {
     let Partition { training, validation, test } = samples.partition(&narrow, &Window::TRANSITION).unwrap();
     assert_eq!((training.len(), validation[0], test[0]), (2 * 133, Sample::at(137), Sample::at(160)));
     // An episode that is too short for the gaps is left out. If all are, there is nothing to train on.
-    let partition = |lengths: &[usize]| ramps(0, lengths).partition(&split(Division::Time), &Window::TRANSITION);
+    let partition =
+        |lengths: &[usize]| ramps(0, lengths).partition(&split(Division::Time), &Window::TRANSITION);
     assert_eq!(partition(&[200, 100]), partition(&[200]));
     assert_eq!(partition(&[100, 100]), None);
 }

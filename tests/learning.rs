@@ -722,8 +722,15 @@ impl Bench {
     fn description(&self) -> Description {
         let (losses, normalizers) = (&self.training.losses, &self.data.normalizers);
         let window = &Window::TRANSITION;
-        Description::new(&self.architecture(), Task::Prediction, Action::Increment, losses, normalizers, window)
-            .unwrap()
+        Description::new(
+            &self.architecture(),
+            Task::Prediction,
+            Action::Increment,
+            losses,
+            normalizers,
+            window,
+        )
+        .unwrap()
     }
 
     /// Trains from the beginning or from `state`, and returns the epochs and the parameters.
@@ -1259,9 +1266,15 @@ fn a_term_of_the_loss_is_a_finite_scalar() {
 fn described_parameters(architecture: &Architecture) -> Vec<String> {
     let normalizers = Bench::new().data.normalizers;
     let losses = BTreeMap::new();
-    let description =
-        Description::new(architecture, Task::Prediction, Action::Increment, &losses, &normalizers, &Window::TRANSITION)
-            .unwrap();
+    let description = Description::new(
+        architecture,
+        Task::Prediction,
+        Action::Increment,
+        &losses,
+        &normalizers,
+        &Window::TRANSITION,
+    )
+    .unwrap();
     let text: serde_json::Value = serde_json::from_str(&description.json()).unwrap();
     let layers = ["encoder", "decoder"].into_iter().flat_map(|part| text[part].as_array().unwrap());
     let values = layers.flat_map(|layer| {

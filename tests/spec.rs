@@ -219,7 +219,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         ),
         (
             "split: {holdout: 0.1}\n",
-            "spec.yaml:7:9: unknown key 'holdout' in 'split'. Allowed: by, validation, test, gap_seconds",
+            "spec.yaml:7:9: unknown key 'holdout' in 'split'. Allowed: by, validation, test, gap_seconds, folds, fold, seed",
         ),
         (
             "training: {loss_weights: {force: 2}}\n",
@@ -353,7 +353,7 @@ fn wrong_types_and_values_out_of_bounds_are_refused() {
         ),
         (
             "split: {test: 1.0}\n",
-            "spec.yaml:7:15: 'split.test': expected a finite number above 0 and below 1, found 1.0",
+            "spec.yaml:7:15: 'split.test': expected a finite number above 0 and below 1 or a list of at least one item, each a text or a finite number, found 1.0",
         ),
         (
             "seeds: [-1]\n",
@@ -591,7 +591,8 @@ fn rules_that_tie_settings_together_are_checked() {
 
 #[test]
 fn shares_become_whole_episodes_of_each_kind() {
-    let counts = |episodes| Split { validation: 0.1, test: 0.2.into(), ..Split::default() }.counts(episodes, false);
+    let counts =
+        |episodes| Split { validation: 0.1, test: 0.2.into(), ..Split::default() }.counts(episodes, false);
     assert_eq!(counts(40), Some(SplitCounts { training: 28, validation: 4, test: 8 }));
     assert_eq!(counts(3), Some(SplitCounts { training: 1, validation: 1, test: 1 }));
     assert_eq!(counts(2), None);
@@ -777,12 +778,12 @@ fn bad_overrides_are_refused_by_name() {
         (
             "split.tset=0.2",
             "override 'split.tset=0.2': unknown key 'split.tset'; did you mean 'split.test=0.2'? \
-             Allowed: split.by, split.validation, split.test, split.gap_seconds",
+             Allowed: split.by, split.validation, split.test, split.gap_seconds, split.folds, split.fold, split.seed",
         ),
         (
             "split={test: 0.2}",
             "override 'split={test: 0.2}': 'split' is a section; override its keys one by one: \
-             split.by, split.validation, split.test, split.gap_seconds",
+             split.by, split.validation, split.test, split.gap_seconds, split.folds, split.fold, split.seed",
         ),
         ("latent=[8", "override 'latent=[8': broken YAML: unclosed bracket '['"),
         (
@@ -944,7 +945,7 @@ fn quick_settings_are_checked_even_when_not_applied() {
         (
             "quick:\n  split.tets: 0.3\n",
             "spec.yaml:8:3: unknown key 'split.tets' in 'quick'; did you mean 'split.test'? \
-             Allowed: split.by, split.validation, split.test, split.gap_seconds",
+             Allowed: split.by, split.validation, split.test, split.gap_seconds, split.folds, split.fold, split.seed",
         ),
         (
             "quick:\n  training.epochs: 0\n",
@@ -1004,6 +1005,42 @@ fn splits_of_imported_datasets_do_not_depend_on_the_simulation() {
     };
     load(&spec("[lab_finger-0123456789abcdef]"));
     assert!(refusal(spec("[empty]")).contains("leave nothing of an episode of"));
+}
+
+#[test]
+fn horizons_and_folds_in_a_list_make_runs() {
+    let imported = BASE.replace("[empty, cluttered]", "lab-0123456789abcdef").replace("[2, 4]", "2");
+    let text = imported.replace("output: [proprioception, ", "output: [");
+    let horizons = |overrides: &[&str]| -> Vec<usize> {
+        let text = format!("{text}window: {{horizon: [0, 1]}}\n");
+        load_with(text, overrides, false).unwrap().runs().iter().map(|run| run.window.horizon).collect()
+    };
+    assert_eq!(horizons(&[]), [0, 1]);
+    assert_eq!(horizons(&["window.horizon=0"]), [0]);
+    assert_eq!(horizons(&["window.horizon=[1, 0]"]), [1, 0]);
+    let folds = load(&format!("{imported}split: {{by: object, folds: 3}}\n"));
+    let runs = folds.runs();
+    assert_eq!(
+        runs.iter().map(spec::RunSpec::label).collect::<Vec<_>>(),
+        [
+            "lab-0123456789abcdef-z2-seed0",
+            "lab-0123456789abcdef-z2-data1-seed0",
+            "lab-0123456789abcdef-z2-data2-seed0",
+        ]
+    );
+    assert_eq!(load(&folds.to_yaml()), folds);
+    let json = serde_json::to_string(&runs[2]).unwrap();
+    assert_eq!(serde_json::from_str::<spec::RunSpec>(&json).unwrap(), runs[2]);
+    for (addition, expected) in [
+        ("window: {horizon: 0}\n", "with window.horizon: 0, the output 'proprioception' is estimated at"),
+        ("split: {by: object}\n", "unknown division 'object' in 'split.by'"),
+        ("split: {folds: 3}\n", "folds are for recordings"),
+    ] {
+        let error = refusal(format!("{BASE}{addition}"));
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = refusal(format!("{imported}split: {{by: time, folds: 3}}\n"));
+    assert!(error.contains("a split by time has no groups"), "{error}");
 }
 
 #[test]

@@ -282,7 +282,8 @@ impl Collect {
 fn constant_outputs(experiment: &Experiment, dataset: &Dataset) -> Result<Vec<String>> {
     let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
     let partition = samples.partition(&experiment.split, &experiment.window);
-    let of_partition = |partition| samples.constant_outputs(&experiment.output, &partition, &experiment.window);
+    let of_partition =
+        |partition| samples.constant_outputs(&experiment.output, &partition, &experiment.window);
     Ok(partition.map(of_partition).unwrap_or_default())
 }
 

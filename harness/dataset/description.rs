@@ -1,8 +1,8 @@
 //! The description of a dataset (`dataset.json`), and the dataset's name, which contains the description's hash.
 
 use super::DatasetError;
-use harness_shared::seal::hex;
 use harness_samples::Labels;
+use harness_shared::seal::hex;
 use harness_spec::{Layout, Modality, Scenario, Simulation, Split};
 use serde::Deserialize;
 use serde_json::json;

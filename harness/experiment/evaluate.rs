@@ -2,8 +2,8 @@
 
 use super::OpenData;
 use harness_judge::{
-    Given, JudgeError, MetricRow, NearestNeighbors, Persistence, Predictor, Ridge, SampledWindow, Test, TrainingMean, judge,
-    sample_windows,
+    Given, JudgeError, MetricRow, NearestNeighbors, Persistence, Predictor, Ridge, SampledWindow, Test,
+    TrainingMean, judge, sample_windows,
 };
 use harness_learning::data::NormalizedData;
 use harness_metrics::contact;

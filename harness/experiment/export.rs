@@ -76,6 +76,7 @@ fn described(
     let (file, normalizers) = checkpoint::open(there(&path)?)?;
     let network = architecture(&record.spec, trained, &record.layout, task);
     let losses = &trained.training.losses;
-    let description = Description::new(&network, task, record.spec.action, losses, &normalizers, &record.spec.window);
+    let description =
+        Description::new(&network, task, record.spec.action, losses, &normalizers, &record.spec.window);
     Ok(Described { description: description.map_err(LearningError::from)?, file })
 }

@@ -268,7 +268,9 @@ impl OpenTask {
 fn whole_windows(part: &[Sample], spec: &RunSpec) -> Vec<Sample> {
     match (spec.split.by, spec.window.start) {
         (Division::Sample, _) | (_, WindowStart::Rest) => part.to_vec(),
-        (Division::Episode | Division::Label(_) | Division::Time, WindowStart::Random) => ends(part, spec.window.context),
+        (Division::Episode | Division::Label(_) | Division::Time, WindowStart::Random) => {
+            ends(part, spec.window.context)
+        }
     }
 }
 

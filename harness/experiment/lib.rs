@@ -452,14 +452,9 @@ impl<'a> Runner<'a> {
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
         if matches!(source.dataset, AnyDataset::Imported(_)) {
             let split = samples.labels().split(&spec.split);
-            for note in recorded::notes(
-                &samples,
-                &spec.modalities(),
-                &spec.output,
-                &partition,
-                &split,
-                &spec.window,
-            )? {
+            for note in
+                recorded::notes(&samples, &spec.modalities(), &spec.output, &partition, &split, &spec.window)?
+            {
                 self.progress.say(&format!("{}: {note}", spec.scenario));
             }
         }
@@ -612,7 +607,8 @@ impl TrainingRun<'_> {
         let test = &self.prepared.open.partition.test;
         let divergences = trained.divergences(test).map_err(LearningError::from)?;
         let model = trained.name().to_owned();
-        let row = |row| MetricRow { task, model: model.clone(), horizon: window.first_horizon(), given: None, row };
+        let row =
+            |row| MetricRow { task, model: model.clone(), horizon: window.first_horizon(), given: None, row };
         outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok((network, parameters))
@@ -662,9 +658,8 @@ impl TrainingRun<'_> {
         let epochs = fit.run(objective, parameters)?;
         let NormalizedData { normalizers, action, .. } = &self.data;
         let losses = &self.trained.training.losses;
-        let network =
-            Description::new(architecture, task, *action, losses, normalizers, &self.spec.window)
-                .map_err(LearningError::from)?;
+        let network = Description::new(architecture, task, *action, losses, normalizers, &self.spec.window)
+            .map_err(LearningError::from)?;
         checkpoint::save(&self.claimed.checkpoint(task), parameters, normalizers, &network)?;
         outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())

@@ -34,7 +34,10 @@ pub fn recording_notes(datasets: &Path, name: &str) -> Result<Vec<String>, Exper
     let output: Vec<Modality> = vectors.filter(|name| name.is_sensed()).collect();
     let (split, window) = (samples.labels().split(&Split::default()), Window::TRANSITION);
     let Some(partition) = samples.partition(&split, &window) else {
-        return Ok(vec![format!("the default split, by {}, leaves no training samples; ask for another", split.by)]);
+        return Ok(vec![format!(
+            "the default split, by {}, leaves no training samples; ask for another",
+            split.by
+        )]);
     };
     let told = divided(&samples, &split);
     let notes = notes(&samples, &output, &output, &partition, &split, &window)?;
@@ -50,7 +53,8 @@ fn divided(samples: &Samples, split: &Split) -> Option<String> {
     let parts = labels.parts(split, &lengths).ok()?;
     let values = labels.values(split.by, lengths.len()).ok()?;
     let of = |wanted: Part| {
-        let own = values.iter().zip(&parts).filter(|(_, part)| **part == wanted).map(|(value, _)| value.as_str());
+        let own =
+            values.iter().zip(&parts).filter(|(_, part)| **part == wanted).map(|(value, _)| value.as_str());
         own.collect::<BTreeSet<_>>()
     };
     let listed = |part: Part| of(part).into_iter().collect::<Vec<_>>().join(", ");
@@ -99,7 +103,9 @@ pub(super) fn notes(
         let short: Vec<usize> = lengths(samples).into_iter().filter(is_short).collect();
         if !short.is_empty() {
             let (count, left_out) = (counted(short.len(), "episode"), counted(short.iter().sum(), "sample"));
-            notes.push(format!("{count} with {left_out} are left out, because they are too short for a split by time"));
+            notes.push(format!(
+                "{count} with {left_out} are left out, because they are too short for a split by time"
+            ));
         }
     }
     Ok(notes)
@@ -121,8 +127,7 @@ fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) ->
     let is_beyond = |(value, range): (&f32, &(f32, f32))| {
         *value < range.0 - margin(range) || *value > range.1 + margin(range)
     };
-    let has_beyond =
-        |sample: &&Sample| samples.vector(modality, **sample).iter().zip(&ranges).any(is_beyond);
+    let has_beyond = |sample: &&Sample| samples.vector(modality, **sample).iter().zip(&ranges).any(is_beyond);
     let share = partition.test.iter().filter(has_beyond).count() as f64 / partition.test.len().max(1) as f64;
     (share > OFTEN).then(|| {
         format!(
@@ -188,7 +193,8 @@ fn setpoint_notes(
         let windows = &partition.test;
         let test = Test { samples, task: Task::Prediction, windows, since_s: &[], sampled: None };
         let rows = judge(&ridge, &test)?.metrics.into_iter().map(|row| row.row);
-        let r2 = rows.filter(|row| row.metric == Metric::R2).filter_map(|row| row.value).max_by(f64::total_cmp);
+        let r2 =
+            rows.filter(|row| row.metric == Metric::R2).filter_map(|row| row.value).max_by(f64::total_cmp);
         if let Some(r2) = r2.filter(|r2| *r2 > TOLD) {
             notes.push(format!(
                 "the setpoint alone tells the output {modality}: ridge regression has an R2 of {r2:.3}; check that it \
@@ -211,7 +217,9 @@ fn equal_element(samples: &Samples, modality: Modality) -> Option<&str> {
         |element: usize| values.iter().skip(element).step_by(width).any(|value| *value != values[element]);
     let equals = |element: usize, command: usize| {
         let pairs = values.chunks_exact(width).zip(setpoints.chunks_exact(commands));
-        pairs.map(|(values, setpoints)| (values[element], setpoints[command])).all(|(one, other)| one == other)
+        pairs
+            .map(|(values, setpoints)| (values[element], setpoints[command]))
+            .all(|(one, other)| one == other)
     };
     let is_command =
         |element: &usize| changes(*element) && (0..commands).any(|command| equals(*element, command));

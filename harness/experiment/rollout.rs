@@ -61,7 +61,9 @@ pub enum RolloutError {
         window: Window,
     },
     /// The network estimates the present sample.
-    #[error("the network of {0} estimates the present sample (window.horizon: 0), so it predicts no later one")]
+    #[error(
+        "the network of {0} estimates the present sample (window.horizon: 0), so it predicts no later one"
+    )]
     Estimate(String),
     /// The network has no memory and does not predict all of its inputs.
     #[error(

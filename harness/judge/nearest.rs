@@ -48,9 +48,8 @@ impl<'a> NearestNeighbors<'a> {
         let distance = |known: &[f32]| known.iter().zip(input).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
         let distances = self.inputs.chunks_exact(input.len()).map(distance);
         let mut all: Vec<(f32, Sample)> = distances.zip(self.known.iter().copied()).collect();
-        let order = |one: &(f32, Sample), other: &(f32, Sample)| {
-            one.0.total_cmp(&other.0).then(one.1.cmp(&other.1))
-        };
+        let order =
+            |one: &(f32, Sample), other: &(f32, Sample)| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1));
         if all.len() > NEIGHBORS {
             all.select_nth_unstable_by(NEIGHBORS, order);
             all.truncate(NEIGHBORS);

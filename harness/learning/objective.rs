@@ -99,8 +99,14 @@ impl Objective for Prediction<'_> {
         let further = self.further();
         let present =
             if self.data.normalizers.changes.is_empty() { Vec::new() } else { seen.repeat(further) };
-        let taken =
-            [burned, after(&seen, self.window.first_horizon()), later(&seen, 1, further), later(&seen, 2, further), present, seen];
+        let taken = [
+            burned,
+            after(&seen, self.window.first_horizon()),
+            later(&seen, 1, further),
+            later(&seen, 2, further),
+            present,
+            seen,
+        ];
         Ok(taken.iter().map(|at| indices(at)).collect())
     }
 

@@ -66,8 +66,7 @@ fn with_values(
     metric: &OwnMetric,
     values: Vec<&OwnValue>,
 ) -> Result<Option<DataFrame>, RegistryError> {
-    let own =
-        record.with_key(own_columns(table, metric, &values, record)).map_err(TableError::from)?;
+    let own = record.with_key(own_columns(table, metric, &values, record)).map_err(TableError::from)?;
     if !record.has(table) {
         return Ok((own.height() > 0).then_some(own));
     }
@@ -88,8 +87,7 @@ fn own_columns(table: Table, metric: &OwnMetric, values: &[&OwnValue], record: &
     let is_predicted = |value: &&OwnValue| {
         value.horizon > 0 || spec.window.horizon == 0 && spec.output.contains(&value.modality)
     };
-    let task =
-        |value: &&OwnValue| if is_predicted(value) { Task::Prediction } else { Task::Reconstruction };
+    let task = |value: &&OwnValue| if is_predicted(value) { Task::Prediction } else { Task::Reconstruction };
     let mut columns = vec![
         column_of(values, "task", |value| task(value).name()),
         column_of(values, "model", |_| model),

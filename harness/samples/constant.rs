@@ -9,7 +9,12 @@ const AT_ONCE: usize = 256;
 impl Samples {
     /// Returns a sentence for each of these outputs that is the same in all training or all test samples, such as
     /// `contact_force is 0 in all test samples, so its r2 is not defined`. Images that were not loaded are left out.
-    pub fn constant_outputs(&self, outputs: &[Modality], partition: &Partition, window: &Window) -> Vec<String> {
+    pub fn constant_outputs(
+        &self,
+        outputs: &[Modality],
+        partition: &Partition,
+        window: &Window,
+    ) -> Vec<String> {
         let sentence = |output: &Modality| {
             let metric = if self.layout[*output].is_image() { "relative_error" } else { "r2" };
             let test = self.constant(*output, &after(&partition.test, window.first_horizon()));

@@ -30,8 +30,12 @@ impl Labels {
             let names: Vec<&str> =
                 self.episodes.first().into_iter().flat_map(BTreeMap::keys).map(String::as_str).collect();
             return Err(match names.is_empty() {
-                true => format!("split.by: there is no label '{label}'; import the dataset again, which adds labels"),
-                false => format!("split.by: there is no label '{label}'; the labels are {}", names.join(", ")),
+                true => format!(
+                    "split.by: there is no label '{label}'; import the dataset again, which adds labels"
+                ),
+                false => {
+                    format!("split.by: there is no label '{label}'; the labels are {}", names.join(", "))
+                }
             });
         }
         let value = |(episode, labels): (usize, &BTreeMap<String, Option<String>>)| {

@@ -93,7 +93,16 @@ impl Samples {
         let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
         let images = images.map_err(|source| FramesError { folder: folder.to_owned(), source })?;
         let folder = folder.to_owned();
-        Ok(Self { recording, episodes: Vec::new(), before_test: None, layout, vectors, images, folder, labels: Labels::default() })
+        Ok(Self {
+            recording,
+            episodes: Vec::new(),
+            before_test: None,
+            layout,
+            vectors,
+            images,
+            folder,
+            labels: Labels::default(),
+        })
     }
 
     /// Appends an episode, with its frames if it has any.

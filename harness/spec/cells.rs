@@ -6,6 +6,7 @@ use super::run::{Model, RunSpec, Trained};
 use super::search::{Search, Trial};
 use super::simulation::Simulation;
 use super::types::{Experiment, Reading, Task, Training};
+use super::vary::FOLD;
 use super::world::{Known, World};
 use harness_layout::{GivenScaling, Layout, Modality, Scaling, Scalings};
 use harness_yaml::{Entry, Node, Place};
@@ -17,8 +18,6 @@ use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
 pub(super) const DATASET_SEED: &str = "simulation.seed";
-/// Key of the setting that distinguishes the folds of a recording, each of which is like a dataset of its own.
-pub(super) const FOLD: &str = "split.fold";
 
 impl Experiment {
     /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order. In a search with
@@ -95,11 +94,14 @@ impl Experiment {
     /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
     pub fn varied(&self, run: &RunSpec) -> Vec<(&str, &Json)> {
         let names: Vec<&str> = run.variant_parts().0.split(',').collect();
-        let own = self.vary.iter().filter(|(key, _)| ![DATASET_SEED, FOLD].contains(&key.as_str())).filter_map(|(key, values)| {
-            let values = values.as_array().filter(|values| values.len() > 1)?;
-            let value = values.iter().find(|value| names.contains(&named(key, value).as_str()))?;
-            Some((key.as_str(), value))
-        });
+        let own =
+            self.vary.iter().filter(|(key, _)| ![DATASET_SEED, FOLD].contains(&key.as_str())).filter_map(
+                |(key, values)| {
+                    let values = values.as_array().filter(|values| values.len() > 1)?;
+                    let value = values.iter().find(|value| names.contains(&named(key, value).as_str()))?;
+                    Some((key.as_str(), value))
+                },
+            );
         own.collect()
     }
 

@@ -1,7 +1,8 @@
 //! Where the values of an experiment's settings come from.
 
-use super::cells::{DATASET_SEED, FOLD};
+use super::cells::DATASET_SEED;
 use super::outputs::written_key;
+use super::vary::FOLD;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
 use harness_yaml::{Node, Place, Value, join};
 use serde_json::Value as Json;

@@ -36,8 +36,8 @@ pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use harness_layout::{
     CLASS_COLORS, CONTACT_PARTS, Definition, Element, Episode, GivenScaling, GivenScalings, Group,
-    IMAGE_CHANNELS, Kind, Label, LabelKind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale, Scaling, Scalings,
-    Segmentation, intern, is_name,
+    IMAGE_CHANNELS, Kind, Label, LabelKind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale,
+    Scaling, Scalings, Segmentation, intern, is_name,
 };
 pub use mapping::{mapping_schema, read_mapping};
 pub use origin::{Origin, Scenario};
@@ -151,7 +151,7 @@ fn load_tree(
         add_network(&mut tree);
     }
     schema::list_single_values(&mut tree);
-    vary::complete(&mut tree)?;
+    vary::complete(&mut tree, false)?;
     resolve(worlds, &tree)?;
     let mut quick_tree = tree.clone();
     match tree.get("quick") {
@@ -168,7 +168,7 @@ fn load_tree(
     let overrides = overrides::read_all(overrides)?;
     overrides::apply(&mut tree, &overrides);
     schema::list_single_values(&mut tree);
-    vary::complete(&mut tree)?;
+    vary::complete(&mut tree, true)?;
     let experiment = resolve(worlds, &tree).map_err(|problem| problem.after("applying the overrides"))?;
     check_variants(worlds, &tree, &experiment)?;
     Ok((tree, experiment))

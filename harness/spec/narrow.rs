@@ -1,10 +1,10 @@
 //! Narrows the overrides of an experiment to one of its runs.
 
-use super::cells::{DATASET_SEED, FOLD, named};
+use super::cells::{DATASET_SEED, named};
 use super::origin::Origin;
 use super::run::RunSpec;
 use super::schema::WITHOUT;
-use super::vary;
+use super::vary::{self, FOLD};
 use harness_yaml::parse;
 use serde_json::{Value as Json, json};
 

@@ -2,8 +2,8 @@
 
 use super::origin::Origin;
 use super::simulation::Simulation;
-use super::stored::stored;
 use super::split::Split;
+use super::stored::stored;
 use super::types::{Action, Family, Network, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};

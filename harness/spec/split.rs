@@ -296,12 +296,20 @@ impl Split {
                 }
                 let fold = self.fold.unwrap_or_default();
                 let of_groups = folds_of(groups, folds);
-                parts.iter_mut().zip(of_groups).filter(|(_, own)| *own == fold).for_each(|(part, _)| *part = Part::Test);
+                parts
+                    .iter_mut()
+                    .zip(of_groups)
+                    .filter(|(_, own)| *own == fold)
+                    .for_each(|(part, _)| *part = Part::Test);
             }
             (None, Tested::Groups(tested)) => {
                 for Group(name) in tested {
                     let place = names.iter().position(|own| own == name).ok_or_else(|| {
-                        format!("test: no episode has the {} '{name}'; there are {}", self.by, names.join(", "))
+                        format!(
+                            "test: no episode has the {} '{name}'; there are {}",
+                            self.by,
+                            names.join(", ")
+                        )
                     })?;
                     parts[place] = Part::Test;
                 }

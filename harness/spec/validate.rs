@@ -7,8 +7,8 @@ use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::split::{Division, Split, Tested};
 use super::types::{
-    Device, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading, Settings, Task, Training,
-    WindowStart,
+    Device, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading, Settings, Task,
+    Training, WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;

@@ -1,6 +1,5 @@
 //! Writes every axis of `vary` in its full form: a list of values, or labels with all of their settings.
 
-use super::cells::FOLD;
 use super::hints::HINTS;
 use super::schema::{self, EXTENDS, WITHOUT};
 use harness_yaml::{Entry, Node, Problem, Value, unknown};
@@ -9,6 +8,8 @@ use harness_yaml::{Entry, Node, Problem, Value, unknown};
 pub(super) const VARY: &str = "vary";
 /// Name of the axis whose labels claims compare under `readings`.
 pub(super) const ROLE: &str = "role";
+/// The setting that distinguishes the folds of a recording, each of which is like a dataset of its own.
+pub(super) const FOLD: &str = "split.fold";
 /// The setting whose list of values is short for an axis.
 const HORIZON: &str = "window.horizon";
 /// The key of the modalities that the encoder gets.
@@ -16,7 +17,7 @@ const INPUT: &str = "input";
 
 /// Completes the axes of a spec and those under its `quick`.
 ///
-/// - A list of horizons becomes the first axis.
+/// - A list of horizons becomes the first axis. That of an override replaces the one that the spec has.
 /// - A label gets the settings of the label that it extends. Its own replace them.
 /// - `input: {without: each}` becomes a list: the input of the spec, and the input without each of its modalities, in
 ///   the order of the spec.
@@ -24,8 +25,8 @@ const INPUT: &str = "input";
 /// # Errors
 /// When an axis is neither a setting nor has labels, when a label extends an unknown one or itself, or when the input
 /// of an ablation has a single modality.
-pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
-    move_horizons(tree)?;
+pub(super) fn complete(tree: &mut Node, is_overridden: bool) -> Result<(), Problem> {
+    move_horizons(tree, is_overridden)?;
     list_folds(tree)?;
     let input = tree.get(INPUT).cloned();
     axes(tree.get_mut(VARY), input.as_ref())?;
@@ -35,11 +36,14 @@ pub(super) fn complete(tree: &mut Node) -> Result<(), Problem> {
 }
 
 /// Makes a list of horizons the first axis, `window.horizon`.
-fn move_horizons(tree: &mut Node) -> Result<(), Problem> {
+fn move_horizons(tree: &mut Node, is_overridden: bool) -> Result<(), Problem> {
     let Some(Node { value: Value::Section(window), .. }) = tree.get_mut("window") else { return Ok(()) };
     let is_list = |entry: &Entry| entry.key == "horizon" && matches!(entry.node.value, Value::List(_));
     let Some(index) = window.iter().position(is_list) else { return Ok(()) };
     let axis = Entry { key: HORIZON.to_owned(), ..window.remove(index) };
+    if is_overridden {
+        remove_axis(tree, HORIZON);
+    }
     let Value::Section(entries) = &mut tree.value else { return Ok(()) };
     make_first_axis(entries, axis, HORIZON)
 }
@@ -54,13 +58,15 @@ fn list_folds(tree: &mut Node) -> Result<(), Problem> {
     // Too many are refused later.
     let values = serde_json::json!((0..(*folds).clamp(0, 1000) as u64).collect::<Vec<_>>());
     let axis = Entry { key: FOLD.to_owned(), key_place: place.clone(), node: Node::of_json(&values, place) };
+    remove_axis(tree, FOLD);
     let Value::Section(entries) = &mut tree.value else { return Ok(()) };
-    if let Some(Entry { node: Node { value: Value::Section(axes), .. }, .. }) =
-        entries.iter_mut().find(|entry| entry.key == VARY)
-    {
-        axes.retain(|axis| axis.key != FOLD);
-    }
     make_first_axis(entries, axis, FOLD)
+}
+
+fn remove_axis(tree: &mut Node, key: &str) {
+    if let Some(Node { value: Value::Section(axes), .. }) = tree.get_mut(VARY) {
+        axes.retain(|axis| axis.key != key);
+    }
 }
 
 /// Adds the first axis to a spec. `origin` is the key that had its values.

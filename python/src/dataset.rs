@@ -186,9 +186,7 @@ impl Dataset {
             return wrong(format!("gap_seconds: {gap} must be in [0, 3600]"));
         }
         let split = Split { by, validation, test: test.into(), gap_seconds, ..Split::default() };
-        let Some(partition) =
-            self.samples.partition(&split, &Window::TRANSITION)
-        else {
+        let Some(partition) = self.samples.partition(&split, &Window::TRANSITION) else {
             let episodes = self.samples.episodes().len();
             return wrong(format!(
                 "validation, test, gap_seconds: a part would have no transitions; the dataset has {episodes} episodes"

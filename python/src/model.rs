@@ -163,7 +163,9 @@ impl Model {
         let action = match (action, self.model.action_width()) {
             (None, 0) => Vec::new(),
             (None, width) => {
-                return Err(PyValueError::new_err(format!("action: the network takes one with {width} values")));
+                return Err(PyValueError::new_err(format!(
+                    "action: the network takes one with {width} values"
+                )));
             }
             (Some(action), width) => batch.vectors("action", action, width)?,
         };

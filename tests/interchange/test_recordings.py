@@ -591,6 +591,61 @@ def test_inspecting_lists_a_format_and_writes_a_mapping(recording, tmp_path, for
     assert again.returncode == 1 and "is there already, and was not changed; name another file" in again.stderr
 
 
+def rows_of(columns: dict[str, float]) -> str:
+    """A CSV file whose columns grow by these numbers."""
+    rows = [",".join(f"{step * row:.3f}" for step in columns.values()) for row in range(30)]
+    return "\n".join([",".join(columns), *rows])
+
+
+SEVERAL_TIMES = {"a_stamp": 0.1, "a_x_0": 1, "a_x_1": 2, "b_stamp": 0.05, "b_y": 3}
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "streams", "modalities", "trial"),
+    [
+        (
+            ["3D-Printed Part_001.csv", "3D-Printed Part_002.csv", "book_001.csv"],
+            {"time": 0.1, "x": 1},
+            {"log": {"file": "*.csv", "time": "time"}},
+            {"log_x": {"from": "log.x", "unit": ""}},
+            "{object}_{number:int}",
+        ),
+        (
+            ["t1.txt", "t2.txt", "t3.txt"],
+            {"Time [ms]": 100, "Force [N]": 1, "pad[0]": 2, "pad[1]": 3},
+            {"log": {"file": "*.txt", "time": "Time [ms]", "time_unit": "ms"}},
+            {"log_force": {"from": "log.Force [N]", "unit": "N"}, "log_pad": {"from": "log.pad*", "unit": ""}},
+            None,
+        ),
+        (
+            ["r1.csv", "r2.csv", "r3.csv"],
+            SEVERAL_TIMES,
+            {"a": {"file": "*.csv", "time": "a_stamp"}, "b": {"file": "*.csv", "time": "b_stamp"}},
+            {"a_a_x": {"from": "a.a_x*", "unit": ""}, "b_b_y": {"from": "b.b_y", "unit": ""}},
+            None,
+        ),
+    ],
+)
+def test_inspecting_guesses_trials_times_and_units_of_tables(tmp_path, names, columns, streams, modalities, trial):
+    (tmp_path / "rec").mkdir()
+    for name in names:
+        (tmp_path / "rec" / name).write_text(rows_of(columns))
+    answer = command("--inspect", tmp_path / "rec", "--output", tmp_path / "first.yaml")
+    assert answer.returncode == 0 and "could not be guessed" not in answer.stdout, answer.stderr
+    found = content(tmp_path / "first.yaml")
+    assert (found["streams"], found.get("trial")) == (streams, trial)
+    assert found["modalities"] == {"setpoint": "none"} | modalities
+    assert len(read_episodes(tmp_path / "results", import_dataset(tmp_path / "first.yaml", tmp_path / "results"))) == 3
+
+
+def test_a_pattern_does_not_mean_the_times_of_a_stream(tmp_path):
+    for trial in range(3):
+        (tmp_path / f"{trial}.csv").write_text(rows_of(SEVERAL_TIMES))
+    streams = {"a": {"file": "*.csv", "time": "a_stamp"}, "b": {"file": "*.csv", "time": "b_stamp"}}
+    (first, *_) = imported(tmp_path, format="csv", streams=streams, modalities={"setpoint": "none", "all": "a.*"})
+    assert [name for name in first.columns if name.startswith("all_")] == ["all_a_x_0", "all_a_x_1", "all_b_y"]
+
+
 def test_inspecting_finds_parquet_and_lerobot_columns(tmp_path):
     rows = {"trial": [0, 0], "time": [0.0, 0.1], "command": [[1.0], [2.0]], "angle": [1.0, 2.0]}
     pl.DataFrame(rows).write_parquet(tmp_path / "lab.parquet")

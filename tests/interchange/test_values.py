@@ -426,10 +426,7 @@ def test_a_first_mapping_is_valid_whatever_the_names_are(tmp_path):
         pl.DataFrame(rows).write_csv(place / f"trial_{trial}.csv")
     mapping = tmp_path / "first.yaml"
     mapping.write_text(first_mapping(inspect(place), place, tmp_path))
-    lines = mapping.read_text().splitlines()
-    with pytest.raises(ValueError, match="'modalities.setpoint': expected a text or a list"):
-        _harness.read_mapping(mapping)
-    filled = [line.replace("setpoint:      #", "setpoint: [] #").replace("[]", '"trial_.no"') for line in lines]
-    mapping.write_text("\n".join(filled))
     content = json.loads(_harness.read_mapping(mapping))
-    assert content["source"] == place.name
+    assert content["source"] == place.name and content["modalities"]["setpoint"] == "none"
+    assert content["modalities"]["log_force"] == {"from": "log.force [N]", "unit": "N"}
+    import_dataset(mapping, tmp_path / "results", progress=False)

@@ -365,7 +365,16 @@ fn an_addition_takes_one_file_and_one_registration() {
         ("Cvae", &["learning/network/cvae.rs", "learning/network/mod.rs"][..]),
         ("LateEncoder", &["learning/network/encoder.rs"]),
         ("Persistence", &["experiment/evaluate.rs", "judge/lib.rs", "judge/persistence.rs"]),
-        ("Ridge", &["experiment/evaluate.rs", "judge/lib.rs", "judge/ridge.rs", "metrics/baselines.rs"]),
+        (
+            "Ridge",
+            &[
+                "experiment/evaluate.rs",
+                "experiment/recorded.rs",
+                "judge/lib.rs",
+                "judge/ridge.rs",
+                "metrics/baselines.rs",
+            ],
+        ),
     ] {
         assert_eq!(files_with(&harness, name), files, "{name}");
     }
