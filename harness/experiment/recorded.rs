@@ -23,25 +23,23 @@ const BEYOND: f32 = 0.05;
 /// The share of test samples beyond the range that is told.
 const OFTEN: f64 = 0.05;
 
-/// Returns what is known about the default split of an imported dataset, and what may be wrong with it, in sentences. All
-/// its vectors count as outputs.
+/// Says how runs divide an imported dataset unless they ask for another split, and what may be wrong with it, in
+/// sentences. All its vectors count as outputs.
 ///
 /// # Errors
 /// When the dataset can't be read.
-pub fn recording_notes(datasets: &Path, name: &str) -> Result<Vec<String>, ExperimentError> {
+pub fn recording_notes(datasets: &Path, name: &str) -> Result<(String, Vec<String>), ExperimentError> {
     let samples = Imported::open(datasets, name)?.load(FramePlace::Nowhere, &Silent)?;
     let vectors = samples.layout().stored_vectors().map(|definition| definition.name);
     let output: Vec<Modality> = vectors.filter(|name| name.is_sensed()).collect();
     let (split, window) = (samples.labels().split(&Split::default()), Window::TRANSITION);
-    let Some(partition) = samples.partition(&split, &window) else {
-        return Ok(vec![format!(
-            "the default split, by {}, leaves no training samples; ask for another",
-            split.by
-        )]);
-    };
     let told = divided(&samples, &split);
-    let notes = notes(&samples, &output, &output, &partition, &split, &window)?;
-    Ok(told.into_iter().chain(notes).collect())
+    let told = told.unwrap_or_else(|| format!("runs that ask for no other split divide by {}", split.by));
+    let notes = match samples.partition(&split, &window) {
+        Some(partition) => notes(&samples, &output, &output, &partition, &split, &window)?,
+        None => vec!["this split leaves no training samples; runs must ask for another one".to_owned()],
+    };
+    Ok((told, notes))
 }
 
 /// Says which groups are in which part of a split that keeps episodes.

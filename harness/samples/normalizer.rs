@@ -37,7 +37,7 @@ impl Normalizer {
 
     /// Normalizes `values` `[n, width]`, which are in physical units, in place.
     pub fn normalize(&self, values: &mut [f32]) {
-        for row in values.chunks_exact_mut(self.mean.len()) {
+        for row in values.chunks_exact_mut(self.mean.len().max(1)) {
             for (index, (value, mean)) in row.iter_mut().zip(&self.mean).enumerate() {
                 *value = (*value - mean) / self.std(index);
             }

@@ -101,8 +101,8 @@ def read_mapping(path: Path) -> str:
     Raises FileNotFoundError if the file does not exist, and ValueError for its first fault, with its line and column.
     """
 
-def recording_notes(datasets: Path, name: str) -> list[str]:
-    """Returns what may be wrong with an imported dataset, in sentences.
+def recording_notes(datasets: Path, name: str) -> tuple[str, list[str]]:
+    """Returns how runs divide an imported dataset, and what may be wrong with it, in sentences.
 
     Raises OSError if the dataset can't be read.
     """

@@ -19,10 +19,10 @@ pub fn read_mapping(path: PathBuf) -> PyResult<String> {
     spec::read_mapping(&path).map(|mapping| mapping.to_string()).map_err(Raise::raise)
 }
 
-/// Returns what may be wrong with an imported dataset, in sentences.
+/// Returns how runs divide an imported dataset, and what may be wrong with it, in sentences.
 ///
 /// Raises OSError if the dataset can't be read.
 #[pyfunction]
-pub fn recording_notes(py: Python, datasets: PathBuf, name: &str) -> PyResult<Vec<String>> {
+pub fn recording_notes(py: Python, datasets: PathBuf, name: &str) -> PyResult<(String, Vec<String>)> {
     py.detach(|| experiment::recording_notes(&datasets, name)).map_err(Raise::raise)
 }

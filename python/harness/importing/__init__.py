@@ -131,8 +131,10 @@ class Import:
     """The recording, whose episodes are read."""
     page: Path
     """The page with plots."""
+    split: str
+    """How runs divide the dataset, in a sentence."""
     notes: list[str]
-    """How runs divide the dataset, and what may be wrong with it, in sentences."""
+    """What may be wrong with it, in sentences."""
 
 
 def run_import(path: Path, results: Path, progress: bool) -> Import:
@@ -146,9 +148,9 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
     episodes = _episodes(path, mapping, recording, sketch, progress)
     name = write_dataset(mapping, recording, episodes, results, progress)
     page = results / "imports" / f"{name}.html"
-    notes = _harness.recording_notes(results / "datasets", name)
-    write_page(page, name, mapping, recording, sketch, notes)
-    return Import(name, recording, page, notes)
+    split, notes = _harness.recording_notes(results / "datasets", name)
+    write_page(page, name, mapping, recording, sketch, [split, *notes])
+    return Import(name, recording, page, split, notes)
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:

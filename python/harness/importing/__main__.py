@@ -66,6 +66,7 @@ def _import(mapping: Path, results: Path) -> None:
         print("\n".join(table(done.recording)))
     if done.recording.left_out:
         print(f"{done.recording.left_out} samples are left out, because a stream has a gap there")
+    print(done.split)
     for note in done.notes:
         print(f"warning: {note}", file=sys.stderr)
     print(f"{done.page}: plots of every modality; open it to see whether the mapping is right")
