@@ -1,6 +1,9 @@
 //! Intervals over datasets and seeds, compared with printed tables and with random draws whose true mean is known.
 
-use harness_analysis::{Estimate, Interval, LEVEL, holm, mean_interval, replicates, unpaired_replicates};
+use harness_analysis::{
+    Estimate, Interval, Jackknife, LEVEL, holm, mean_interval, replicates, unpaired_replicates,
+};
+use harness_metrics::Metric;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -239,42 +242,78 @@ fn intervals_of_unpaired_differences_keep_their_level() {
 /// The sum of squared deviations of an episode.
 type Sum = fn(&mut ChaCha8Rng) -> f64;
 
-/// R2 on each dataset: 1 minus the errors of all test episodes over their variance. An episode's error is a share of its
-/// variance, times deviations of the dataset, of the episode and of both, all log-normal. Datasets with a `shared` test
-/// have the same episodes, each as difficult for one network as for the others.
-fn r2_on_datasets(
+/// The error and the variance of each test episode, of two models on each dataset. An episode's error is a share of its
+/// variance, times deviations of the dataset, of the episode, of the model on the episode, and of all three, all
+/// log-normal. Datasets with a `shared` test have the same episodes, each as difficult for one network as for others.
+fn sums_on_datasets(
     random: &mut ChaCha8Rng,
     sum: Sum,
     datasets: usize,
     episodes: usize,
     shared: bool,
-) -> Vec<f64> {
-    let episode = |random: &mut ChaCha8Rng| (sum(random), (0.5 * normal(random)).exp());
+) -> Vec<[Vec<[f64; 2]>; 2]> {
+    let episode = |random: &mut ChaCha8Rng| {
+        let (sum, all) = (sum(random), (0.5 * normal(random)).exp());
+        (sum, [0; 2].map(|_| all * (0.3 * normal(random)).exp()))
+    };
     let draw = |random: &mut ChaCha8Rng| (0..episodes).map(|_| episode(random)).collect::<Vec<_>>();
     let common = shared.then(|| draw(random));
     let dataset = |_| {
         let test = common.clone().unwrap_or_else(|| draw(random));
-        let share = 0.2 * (0.1 * normal(random)).exp();
-        let errors =
-            test.iter().map(|(sum, difficulty)| sum * difficulty * share * (0.2 * normal(random)).exp());
-        1.0 - errors.sum::<f64>() / test.iter().map(|(sum, _)| sum).sum::<f64>()
+        [(0, 0.2), (1, 0.3)].map(|(model, share)| {
+            let share = share * (0.1 * normal(random)).exp();
+            let error = |(sum, difficulty): &(f64, [f64; 2])| {
+                [sum * difficulty[model] * share * (0.2 * normal(random)).exp(), *sum]
+            };
+            test.iter().map(error).collect()
+        })
     };
     (0..datasets).map(dataset).collect()
 }
 
-/// The shares of intervals over `datasets` datasets that contain the mean over datasets and episodes, and of prediction
-/// intervals that contain the value on one more dataset, in %.
-fn coverages(sum: Sum, datasets: usize, episodes: usize, shared: bool) -> [f64; 2] {
+/// R2 of the first model, and its difference from that of the second.
+fn values(models: &[Vec<[f64; 2]>; 2]) -> [f64; 2] {
+    let [one, other] = models.each_ref().map(|sums| {
+        let sum = |place: usize| sums.iter().map(|own| own[place]).sum::<f64>();
+        Metric::R2.of_sums([sum(0), sum(1)]).unwrap()
+    });
+    [one, one - other]
+}
+
+/// The interval of the mean over datasets of R2 or of a difference, which is also over the episodes of a `shared` test.
+fn interval_of_mean(tables: &[[Vec<[f64; 2]>; 2]], which: usize, shared: bool) -> Interval {
+    let own: Vec<f64> = tables.iter().map(|models| values(models)[which]).collect();
+    let estimate = Estimate::of(&own).unwrap();
+    if !shared {
+        return estimate.interval(LEVEL);
+    }
+    let jackknife = |models: &[Vec<[f64; 2]>; 2]| {
+        let [one, other] = models.each_ref().map(|sums| Jackknife::new(Metric::R2, sums).unwrap());
+        if which == 0 { one } else { one.minus(&other).unwrap() }
+    };
+    let jackknives: Vec<Jackknife> = tables.iter().map(jackknife).collect();
+    let datasets: Vec<u64> = (0..tables.len() as u64).collect();
+    estimate.interval_with_episodes(&Jackknife::mean(&jackknives, &datasets).unwrap(), LEVEL)
+}
+
+/// The shares of intervals over `datasets` datasets that contain the mean over datasets and episodes of R2 and of a
+/// difference, and of prediction intervals that contain R2 on one more dataset, in %.
+fn coverages(sum: Sum, datasets: usize, episodes: usize, shared: bool) -> [f64; 3] {
     const REPEATED: usize = 4_000;
     let mut random = ChaCha8Rng::seed_from_u64(15);
-    let all = r2_on_datasets(&mut random, sum, 1_000_000 / episodes, episodes, false);
-    let mean = all.iter().sum::<f64>() / all.len() as f64;
-    let mut covered = [0; 2];
+    let all = sums_on_datasets(&mut random, sum, 1_000_000 / episodes, episodes, false);
+    let means =
+        [0, 1].map(|which| all.iter().map(|models| values(models)[which]).sum::<f64>() / all.len() as f64);
+    let mut covered = [0; 3];
     for _ in 0..REPEATED {
-        let mut values = r2_on_datasets(&mut random, sum, datasets + 1, episodes, shared);
-        let next = values.pop().unwrap();
-        let estimate = Estimate::of(&values).unwrap();
-        let intervals = [(estimate.interval(LEVEL), mean), (estimate.prediction(LEVEL), next)];
+        let mut tables = sums_on_datasets(&mut random, sum, datasets + 1, episodes, shared);
+        let next = values(&tables.pop().unwrap())[0];
+        let own: Vec<f64> = tables.iter().map(|models| values(models)[0]).collect();
+        let intervals = [
+            (interval_of_mean(&tables, 0, shared), means[0]),
+            (interval_of_mean(&tables, 1, shared), means[1]),
+            (Estimate::of(&own).unwrap().prediction(LEVEL), next),
+        ];
         for (count, (interval, value)) in covered.iter_mut().zip(intervals) {
             *count += usize::from((interval.low()..=interval.high()).contains(&value));
         }
@@ -293,22 +332,47 @@ fn intervals_of_tests_with_heavy_tails_cover_what_the_documentation_says() {
     let mut lacking = Vec::new();
     for (name, sum) in sums {
         for (episodes, shared) in [(20, false), (200, false), (20, true), (200, true)] {
-            let [[mean_3, next_3], [mean_6, next_6]] =
-                [3, 6].map(|datasets| coverages(sum, datasets, episodes, shared));
+            let [few, many] = [4, 6].map(|datasets| coverages(sum, datasets, episodes, shared));
             let test = if shared { "shared" } else { "own" };
-            let row = format!(
-                "| {name} | {episodes} | {test} | {mean_3:.0} | {mean_6:.0} | {next_3:.0} | {next_6:.0} |"
-            );
+            let pairs = few.iter().zip(many).map(|(few, many)| format!(" {few:.0} | {many:.0} |"));
+            let row = format!("| {name} | {episodes} | {test} |{}", pairs.collect::<String>());
             println!("{row}");
-            // The intervals suppose about normal values. The page shows how far they are off for others.
-            if name == "uniform" && !shared {
-                let all = [mean_3, mean_6, next_3, next_6];
-                assert!(all.iter().all(|share| (93.0..=97.0).contains(share)), "{row}");
+            let mut all = few.into_iter().chain(many);
+            // The intervals over datasets alone suppose about normal values. The page shows how far they are off for
+            // others. Those over episodes, too, hold for all.
+            match shared {
+                true => assert!(all.all(|share| share >= 94.0), "{row}"),
+                false if name == "uniform" => {
+                    assert!(all.all(|share| (93.0..=97.0).contains(&share)), "{row}")
+                }
+                false => {}
             }
             lacking.extend((!page.contains(&row)).then_some(row));
         }
     }
     assert!(lacking.is_empty(), "docs/metrics.md lacks these rows: {lacking:#?}");
+}
+
+#[test]
+fn jackknives_are_those_of_hand_worked_sums() {
+    // MAE is 4 / 4. Without each episode it is 3 / 2, 3 / 3 and 2 / 3, so the changes are 4/9, -1/18 and -7/18.
+    let sums = [[1.0, 2.0], [1.0, 1.0], [2.0, 1.0]];
+    let one = Jackknife::new(Metric::Mae, &sums).unwrap();
+    // s² = 2/3 (64 + 1 + 49) / 324 = 0.484322². With (64 + 1 + 49)² / (64² + 1 + 49²) = 2 degrees of freedom,
+    // t = 4.3027.
+    assert!((one.half(LEVEL) - 4.3027 * 0.484_322).abs() < 1e-4, "{}", one.half(LEVEL));
+    assert_eq!(one.minus(&one).unwrap().half(LEVEL), 0.0);
+    // The mean over two datasets, of which one has two seeds.
+    let mean = Jackknife::mean(&[one.clone(), one.minus(&one).unwrap(), one.clone()], &[0, 0, 1]).unwrap();
+    assert_close(mean.half(LEVEL), 0.75 * one.half(LEVEL));
+    let estimate = Estimate::of(&[0.5, 1.5]).unwrap();
+    let half = |interval: Interval| interval.high() - interval.mean;
+    let both = half(estimate.interval_with_episodes(&mean, LEVEL));
+    assert_close(both, half(estimate.interval(LEVEL)).hypot(mean.half(LEVEL)));
+    assert_eq!(Estimate::of(&[0.5]).unwrap().interval_with_episodes(&mean, LEVEL).bounds, None);
+    assert_eq!(Jackknife::new(Metric::Mae, &sums[..1]), None);
+    assert_eq!(Jackknife::new(Metric::R2, &[[1.0, 0.0], [1.0, 2.0]]), None, "no variance without the second");
+    assert_eq!(Jackknife::mean(&[], &[]), None);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use finger::{ARM_JOINTS, FRAME_LEN, FRAME_SIDE, JOINTS};
 use harness_metrics::baselines::{GRAY_SIDE, Ridge, RidgeSums, TrainingMean, downsample_frame, persistence};
 use harness_metrics::contact::{Contact, by_link};
 use harness_metrics::parts::{class_of, in_either, region_of};
-use harness_metrics::series::{error_relative_to_mean, error_relative_to_zero, mae, r2, rmse, smape, wmape};
+use harness_metrics::series::value;
 use harness_metrics::{
     Direction, Ensemble, Evaluation, ForceEvaluation, Forces, Members, Metric, MetricsError, Points, Row,
     Series, evaluate,
@@ -25,6 +25,24 @@ const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 fn of_finger(modality: Modality) -> Definition {
     Layout::finger()[modality].clone()
+}
+
+macro_rules! formulas {
+    ($($name:ident = $metric:ident, $is_change:literal;)*) => {
+        $(fn $name(series: &[Series]) -> Option<f64> {
+            value(Metric::$metric, $is_change, series)
+        })*
+    };
+}
+
+formulas! {
+    smape = Smape, false;
+    wmape = Wmape, false;
+    r2 = R2, false;
+    rmse = Rmse, false;
+    mae = Mae, false;
+    error_relative_to_zero = RelativeError, true;
+    error_relative_to_mean = RelativeError, false;
 }
 
 type Formula = fn(&[Series]) -> Option<f64>;
@@ -337,6 +355,59 @@ fn the_arms_and_the_fingers_pixels_have_errors_of_their_own() {
     assert_eq!(find(&unseen.rows(), Metric::RelativeError.in_region("finger"), None, None).value, None);
     assert!(unseen.add_with_regions(&reference, &predicted, &parts[1..]).is_err());
     assert!(unseen.add_with_regions(&reference, &predicted, &[None; 2 * PLANE]).is_err());
+}
+
+#[test]
+fn sums_of_episodes_give_the_metrics() {
+    let kinds = ["ground", "box"].map(String::from).to_vec();
+    let force = Definition { contact_kinds: kinds, ..of_finger(Modality::CONTACT_FORCE) };
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    for definition in [force, of_finger(Modality::ARM), of_finger(Modality::FRAME_DIFFERENCE)] {
+        let (width, is_force) = (definition.width(), definition.is_force());
+        let mut evaluation = Evaluation::new(&definition, &of_images());
+        // Episode 7 comes in two batches. Links below 12 are never touched, and link 12 only in the first episode.
+        for (episode, samples) in [(4, 6), (7, 3), (7, 2), (9, 1)] {
+            let (mut reference, predicted) = random_pairs(random.random(), samples * width, 0.5);
+            let touches = |link: usize| link > 12 || link == 12 && episode == 4;
+            let untouched = (0..samples * width).filter(|place| is_force && !touches(place % width));
+            untouched.for_each(|place| reference[place] = 0.0);
+            let pixels = if definition.is_image() { width / 3 } else { width };
+            let kinds = if definition.is_image() { 2 } else { 3 };
+            let parts = (0..samples * pixels).map(|_| Some(random.random_range(0..kinds)));
+            let parts: Vec<Option<u8>> = parts.collect();
+            match evaluation.has_regions() {
+                true => evaluation.add_with_regions(&reference, &predicted, &parts).unwrap(),
+                false => evaluation.add(&reference, &predicted).unwrap(),
+            }
+            evaluation.end_episode(episode);
+        }
+        let sums = evaluation.sums();
+        let is_whole = |row: &&Row| {
+            row.index.is_none() && row.direction.is_none_or(|direction| direction.name().starts_with("in "))
+        };
+        let has_sums = |row: &&Row| match row.metric {
+            Metric::Regional(metric, _) => matches!(metric, Metric::R2 | Metric::RelativeError),
+            _ => true,
+        };
+        for row in evaluation.rows().iter().filter(is_whole).filter(has_sums) {
+            let own = sums.iter().filter(|of| (of.metric, of.direction) == (row.metric, row.direction));
+            let episodes: Vec<u32> = own.clone().map(|of| of.episode).collect();
+            assert_eq!(episodes, [4, 7, 9], "{row:?}");
+            let of = own.fold([0.0; 2], |[n, d], of| [n + of.numerator, d + of.denominator]);
+            let value = row.metric.of_sums(of).expect("the metric is defined");
+            assert!((value - row.value.unwrap()).abs() < 1e-9, "{value} {row:?}");
+        }
+    }
+    // By hand: the mean of all references is 2, so the deviations of the last episode are 0 and 4.
+    let joint = Element { name: "joint".into(), unit: "rad".into() };
+    let mut evaluation = Evaluation::new(&Definition::vector(Modality::ARM, "a joint", vec![joint]), &[]);
+    for (episode, reference, predicted) in [(0, [1.0, 1.0], [1.0, 2.0]), (1, [2.0, 4.0], [2.0, 1.0])] {
+        evaluation.add(&reference, &predicted).unwrap();
+        evaluation.end_episode(episode);
+    }
+    let sums = evaluation.sums();
+    let r2 = sums.iter().filter(|of| of.metric == Metric::R2).flat_map(|of| [of.numerator, of.denominator]);
+    r2.zip([1.0, 2.0, 9.0, 4.0]).for_each(|(sum, expected)| assert_close(sum, expected));
 }
 
 #[test]

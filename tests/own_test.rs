@@ -54,29 +54,54 @@ fn runs_on_several_datasets_share_one_test() {
     let rows = ask(&results, of_persistence);
     assert!(!rows.is_empty() && rows.iter().all(|row| row["low"] == row["high"]), "{rows:?}");
 
-    let compared = succeed(&results, &["compare"]);
-    assert!(compared.contains("mean ± half of the 95 % interval over 2 datasets"), "{compared}");
-    assert!(compared.contains("runs in a world share their test episodes"), "{compared}");
-    let one_more = succeed(&results, &["compare", "--interval", "next-dataset"]);
-    let said = "mean ± half of the 95 % prediction interval for one more dataset, from 2 datasets";
-    assert!(one_more.split_whitespace().collect::<Vec<_>>().join(" ").contains(said), "{one_more}");
-    // With two datasets, it is √(2 + 1) times as wide.
-    let half = |over: &str| {
-        let path = results.join("means.json");
-        let arguments =
-            ["compare", "--metrics", "rmse", "--interval", over, "--output", path.to_str().unwrap()];
-        succeed(&results, &arguments);
-        let rows: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-        let number = |row: &serde_json::Value, name: &str| row[name].as_f64();
-        let network = rows.iter().filter(|row| row["model"] == "network");
-        network
-            .map(|row| Some(number(row, "high")? - number(row, "mean")?))
-            .collect::<Option<Vec<f64>>>()
-            .unwrap()
-    };
-    for (mean, next) in half("mean").iter().zip(half("next-dataset")) {
-        assert!((next - mean * 3.0_f64.sqrt()).abs() < 1e-9 * next, "{mean} {next}");
+    // The sums of the episodes are those of the metrics.
+    let sums = "select s.model, s.modality, s.direction, s.metric, count(*) as episodes, max(m.value) as value, \
+                sum(numerator) / sum(denominator) as ratio from sums s join metrics m on s.run = m.run \
+                and s.model = m.model and s.modality = m.modality and s.metric = m.metric and m.\"index\" is null \
+                and s.direction is not distinct from m.direction \
+                where s.metric in ('mae', 'r2') group by s.run, s.model, s.modality, s.direction, s.metric";
+    let rows = ask(&results, sums);
+    assert_eq!(rows.len(), 2 * (11 + 8), "{rows:?}");
+    for row in rows {
+        let ratio = row["ratio"].as_f64().unwrap_or(f64::NAN);
+        let metric = if row["metric"] == "r2" { 1.0 - ratio } else { ratio };
+        let value = row["value"].as_f64();
+        assert!(
+            row["episodes"] == 2
+                && value.is_none_or(|value| (value - metric).abs() < 1e-3 * (1.0 + value.abs())),
+            "{row:?}"
+        );
     }
+
+    let said = |arguments: &[&str]| {
+        let text = succeed(&results, &[&["compare"], arguments].concat());
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let note = "runs in a world share their test episodes, and the intervals";
+    let compared = said(&[]);
+    assert!(compared.contains("interval over 2 datasets and 2 test episodes"), "{compared}");
+    assert!(!compared.contains(note), "{compared}");
+    let compared = said(&["--metrics", "r2,kl"]);
+    assert!(compared.contains(&format!("{note} of kl are those on these episodes")), "{compared}");
+    let one_more = said(&["--interval", "next-dataset"]);
+    assert!(one_more.contains("prediction interval for one more dataset, from 2 datasets"), "{one_more}");
+    assert!(one_more.contains(&format!("{note} are those on these episodes")), "{one_more}");
+    let half = |model: &str, arguments: &[&str]| -> Vec<f64> {
+        let path = results.join("means.json");
+        succeed(&results, &[&["compare", "--output", path.to_str().unwrap()], arguments].concat());
+        let rows: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let half = |row: &serde_json::Value| row["high"].as_f64().unwrap() - row["mean"].as_f64().unwrap();
+        rows.iter().filter(|row| row["model"] == model).map(half).collect()
+    };
+    // With two datasets, the prediction interval is √(2 + 1) times as wide as one over datasets alone.
+    let [mean, next] =
+        ["mean", "next-dataset"].map(|over| half("network", &["--metrics=kl", "--interval", over])[0]);
+    assert!((next - mean * 3.0_f64.sqrt()).abs() < 1e-9 * next, "{mean} {next}");
+    // Persistence is the same on both datasets, so only the episodes vary, also in differences.
+    let of_persistence = half("persistence", &["--metrics=mae"]);
+    assert!(of_persistence.len() == 3 && of_persistence.iter().all(|half| *half > 0.0), "{of_persistence:?}");
+    let differences = half("network", &["--metrics=mae", "--difference-from", "persistence"]);
+    assert!(differences.iter().all(|half| *half > 0.0), "{differences:?}");
 
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
     succeed(&results, &["verify"]);

@@ -112,7 +112,7 @@ fn a_published_registry_answers_all_but_single_samples_the_same() {
         "experiment,scenario,runs\nsmoke,cluttered,1\nsmoke,empty,1\nsweep,empty,1\n"
     );
 
-    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 31 files: all files are intact"));
+    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 37 files: all files are intact"));
     let networks = files(&copy).keys().filter(|path| path.extension().unwrap() == "safetensors").count();
     assert_eq!(networks, 0);
 }
@@ -203,7 +203,9 @@ fn a_table_can_be_left_out() {
     assert_eq!(csv(&copy, metrics), csv(&RESULTS, metrics));
     succeed(&copy, &["verify"]);
     let answer = finish(&mut harness(&RESULTS, &["publish", "smoke", "--without", "metrics"]));
-    assert!(answer.code == 2 && answer.stderr.contains("[possible values: predictions, frames, forces]"));
+    assert!(
+        answer.code == 2 && answer.stderr.contains("[possible values: predictions, frames, forces, sums]")
+    );
 }
 
 #[test]

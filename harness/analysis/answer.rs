@@ -1,7 +1,9 @@
 //! The answer to a question, and the answer as a table: keys tell its rows and columns apart, and baselines stand beside
 //! networks.
 
-use super::{AnalysisError, Interval, Key, Label, Labels, Mean, Of, holm, replicates_of};
+use super::{
+    AnalysisError, Interval, Key, Label, Labels, Mean, Of, holm, note_about_shared_test, replicates_of,
+};
 use harness_judge::models::NETWORK;
 use harness_metrics::{Metric, best, higher_is_better, label, rounded};
 use harness_shared::numbers::Natural;
@@ -31,8 +33,6 @@ pub struct Answer {
     pub notes: Vec<String>,
     /// The samples per second of all runs; `None` if the runs differ, or are on imported data.
     pub(super) sample_rate_hz: Option<f64>,
-    /// Whether datasets share their test episodes.
-    pub(super) shares_test: bool,
 }
 
 impl Answer {
@@ -93,9 +93,7 @@ impl Answer {
         if self.cells.iter().any(|cell| cell.of.metric == Metric::SkillHorizon.name()) {
             all.push("a skill horizon that is the last horizon of the runs is a lower bound".to_owned());
         }
-        if self.shares_test {
-            all.push("runs in a world share their test episodes, so intervals over datasets are those on these episodes".to_owned());
-        }
+        all.extend(note_about_shared_test(&self.cells));
         all.extend(self.notes.iter().cloned());
         all
     }

@@ -183,8 +183,7 @@ impl Spread {
 
     /// The quantile of Student's t for an interval at `level`.
     fn quantile(self, level: f64) -> Option<f64> {
-        let student = StudentsT::new(0.0, 1.0, self.freedom).ok()?;
-        Some(student.inverse_cdf(0.5 + level / 2.0))
+        two_sided(level, self.freedom)
     }
 
     /// The spread with another number of values of the same standard deviation.
@@ -195,6 +194,12 @@ impl Spread {
             freedom: self.freedom * (count - 1.0) / (there - 1.0),
         }
     }
+}
+
+/// The quantile of Student's t for an interval at `level`. `None` if the degrees of freedom are not positive.
+pub(super) fn two_sided(level: f64, freedom: f64) -> Option<f64> {
+    let student = StudentsT::new(0.0, 1.0, freedom).ok()?;
+    Some(student.inverse_cdf(0.5 + level / 2.0))
 }
 
 /// The values that an interval is computed from: the mean of each dataset or, if there is only one dataset, its values.
@@ -268,7 +273,7 @@ fn mean_and_error(values: &[f64]) -> Option<(f64, Option<f64>)> {
 }
 
 /// The mean; `None` without values. The mean of equal values is their value, without a rounding error.
-fn mean_of(values: &[f64]) -> Option<f64> {
+pub(super) fn mean_of(values: &[f64]) -> Option<f64> {
     let first = *values.first()?;
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     Some(if values.iter().all(|value| *value == first) { first } else { mean })

@@ -12,6 +12,7 @@
 //!   from.
 
 mod answer;
+mod episodes;
 mod interval;
 mod key;
 mod labels;
@@ -25,6 +26,7 @@ mod subset;
 mod undefined;
 
 pub use answer::{Answer, BY_UNIT, Comparison, Part, Place, SIGNIFICANT, Side, Subject, printed, usual_key};
+pub use episodes::Jackknife;
 pub use harness_judge::models;
 pub use harness_metrics::higher_is_better;
 pub use interval::{
@@ -33,7 +35,7 @@ pub use interval::{
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
-use means::predicted;
+use means::{note_about_shared_test, predicted};
 pub use means::{Mean, Of, replicates_of};
 pub use question::{Horizon, Question};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
@@ -527,12 +529,6 @@ impl Analysis {
         runs.all(|run| rate(run) == Some(first)).then_some(first)
     }
 
-    /// Whether datasets share their test episodes, which intervals over datasets then do not vary.
-    fn shares_test(&self) -> bool {
-        let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
-        runs.any(|run| run.record.spec.test.is_some())
-    }
-
     /// Whether a run that counts predicts further than the next sample.
     pub fn predicts_further(&self) -> bool {
         let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs);
@@ -703,7 +699,12 @@ impl Analysis {
         recorded: impl Fn() -> Vec<(PathBuf, RunRecord)> + Sync,
     ) -> Result<DataFrame, QueryError> {
         answer(&*self.parsed(sql)?, &|of, query| match of {
-            Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
+            Table::Epochs
+            | Table::Metrics
+            | Table::Sums
+            | Table::Predictions
+            | Table::Forces
+            | Table::Frames => {
                 let found = one_after_the_other(rows(of, query)?)?;
                 found.map_or_else(|| table(&self.registry, of, &[], query), Ok)
             }

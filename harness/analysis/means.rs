@@ -1,10 +1,12 @@
 //! Means of metrics over datasets and seeds.
 
+use super::episodes::Jackknives;
 use super::rows::Row;
-use super::{Analysis, Estimate, Interval, Key, LEVEL, Over, Run, interval, replicates};
+use super::{Analysis, Estimate, Interval, Jackknife, Key, LEVEL, Over, Run, replicates};
 use harness_catalog::QueryError;
 use harness_judge::models::{NETWORK, is_baseline};
 use harness_metrics::higher_is_better;
+use harness_shared::numbers::enumerated;
 use harness_spec::{Modality, Origin, Task, model_parts};
 use harness_tables::column_of;
 use harness_tables::schema::{HORIZON, Table};
@@ -34,6 +36,9 @@ pub struct Mean {
     /// Of a difference, the p-value of Student's t-test that it is 0, corrected by Holm's method for the number of
     /// differences in the answer. `None` with fewer than two values.
     pub p: Option<f64>,
+    /// How each value depends on the test episodes, if all are on the same ones. It is empty if this is not known,
+    /// because the metric is no ratio of sums over episodes.
+    pub test: Option<Vec<Jackknife>>,
 }
 
 /// The group, the model and the metric of a [`Mean`].
@@ -102,29 +107,67 @@ impl Of {
 }
 
 impl Mean {
-    /// The mean of some values with the seeds of their dataset and training; `None` without values.
-    fn new(of: Of, unit: String, replicates: Vec<((u64, u64), f64)>) -> Option<Self> {
-        let interval = interval(replicates.iter().map(|((dataset, _), value)| (*dataset, *value)))?;
-        let (seeds, values): (Vec<(u64, u64)>, Vec<f64>) = replicates.into_iter().unzip();
+    /// The mean of some values; `None` without values.
+    fn new(of: Of, unit: String, replicates: Vec<Replicate>) -> Option<Self> {
+        let values: Vec<f64> = replicates.iter().map(|replicate| replicate.value).collect();
+        let seeds: Vec<(u64, u64)> = replicates.iter().map(|replicate| replicate.seeds).collect();
+        let tests: BTreeSet<&Option<String>> = replicates.iter().map(|replicate| &replicate.test).collect();
+        let is_shared = tests.len() == 1 && tests.iter().all(|test| test.is_some());
+        let jackknives: Option<Vec<_>> =
+            replicates.iter().map(|replicate| replicate.jackknife.clone()).collect();
+        let test = is_shared.then(|| jackknives.unwrap_or_default());
+        Self::of_values(of, unit, values, seeds, test, Over::Mean)
+    }
+
+    /// The mean of values with the seeds of their dataset and training; `None` without values.
+    fn of_values(
+        of: Of,
+        unit: String,
+        values: Vec<f64>,
+        seeds: Vec<(u64, u64)>,
+        test: Option<Vec<Jackknife>>,
+        over: Over,
+    ) -> Option<Self> {
         let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
-        Some(Self { of, unit, values, seeds, datasets, interval, over: Over::Mean, against: None, p: None })
+        let interval = Interval { mean: 0.0, bounds: None };
+        let mean = Self { of, unit, values, seeds, datasets, interval, over, against: None, p: None, test };
+        (datasets > 0).then(|| mean.with_interval(over))
+    }
+
+    /// The seed of the dataset of each value.
+    fn dataset_seeds(&self) -> Vec<u64> {
+        self.seeds.iter().map(|(dataset, _)| *dataset).collect()
     }
 
     /// The mean over datasets and seeds, with its standard error.
     pub(super) fn estimate(&self) -> Option<Estimate> {
-        let datasets = self.seeds.iter().map(|(dataset, _)| *dataset);
-        Estimate::of(&replicates(datasets.zip(self.values.iter().copied())))
+        Estimate::of(&replicates(self.dataset_seeds().into_iter().zip(self.values.iter().copied())))
+    }
+
+    /// How the mean depends on the test episodes, if its interval is also over these.
+    fn jackknife(&self) -> Option<Jackknife> {
+        let test = self.test.as_ref().filter(|_| self.over == Over::Mean)?;
+        Jackknife::mean(test, &self.dataset_seeds())
+    }
+
+    /// The number of test episodes that the interval is over, besides datasets.
+    fn episodes(&self) -> Option<usize> {
+        self.jackknife().map(|jackknife| jackknife.episodes())
     }
 
     /// Returns the mean with another interval. One dataset says nothing about the next, so its mean has no bounds then.
     pub(super) fn with_interval(self, over: Over) -> Self {
-        let interval = match over {
-            Over::Mean => self.estimate().map(|estimate| estimate.interval(LEVEL)),
-            Over::NextDataset if self.datasets < 2 => None,
-            Over::NextDataset => self.estimate().map(|estimate| estimate.prediction(LEVEL)),
+        let mean = Self { over, ..self };
+        let Some(estimate) = mean.estimate() else { return mean };
+        let interval = match (over, mean.jackknife()) {
+            (Over::Mean, None) => estimate.interval(LEVEL),
+            (Over::Mean, Some(jackknife)) => estimate.interval_with_episodes(&jackknife, LEVEL),
+            (Over::NextDataset, _) if mean.datasets < 2 => {
+                Interval { bounds: None, ..estimate.interval(LEVEL) }
+            }
+            (Over::NextDataset, _) => estimate.prediction(LEVEL),
         };
-        let mean = self.interval.mean;
-        Self { interval: interval.unwrap_or(Interval { mean, bounds: None }), over, ..self }
+        Self { interval, ..mean }
     }
 
     /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
@@ -132,11 +175,17 @@ impl Mean {
     /// dataset. Both must be of the same scenario, so that the values are of the same data.
     pub(super) fn difference_from(&self, base: &Mean) -> Option<Self> {
         let key = |(dataset, seed): &(u64, u64)| (*dataset, (!base.of.is_baseline()).then_some(*seed));
-        let of_base: HashMap<_, f64> = base.seeds.iter().map(key).zip(base.values.iter().copied()).collect();
-        let own = self.seeds.iter().zip(&self.values);
-        let differences = own.filter_map(|(seeds, value)| Some((*seeds, value - of_base.get(&key(seeds))?)));
-        let difference = Self::new(self.of.clone(), self.unit.clone(), differences.collect())?;
-        Some(difference.with_interval(self.over))
+        let places: HashMap<_, usize> = base.seeds.iter().map(key).zip(0..).collect();
+        let pairs = self.seeds.iter().enumerate();
+        let pairs = pairs.filter_map(|(place, seeds)| Some((place, *places.get(&key(seeds))?)));
+        let pairs: Vec<(usize, usize)> = pairs.collect();
+        let values = pairs.iter().map(|(own, other)| self.values[*own] - base.values[*other]).collect();
+        let seeds = pairs.iter().map(|(own, _)| self.seeds[*own]).collect();
+        let test = self.test.as_ref().zip(base.test.as_ref()).map(|(own, of_base)| {
+            let minus = |(one, other): &(usize, usize)| own.get(*one)?.minus(of_base.get(*other)?);
+            pairs.iter().map(minus).collect::<Option<Vec<_>>>().unwrap_or_default()
+        });
+        Self::of_values(self.of.clone(), self.unit.clone(), values, seeds, test, self.over)
     }
 
     /// Whether two means of a baseline share datasets, and have the same value on each of them, up to rounding.
@@ -213,7 +262,22 @@ pub fn replicates_of<'a>(means: impl IntoIterator<Item = &'a Mean>) -> Option<St
     let has_seeds = one.iter().any(|mean| mean.values.len() > 1);
     let seeds = range(&one, runs).filter(|_| has_seeds).map(|seeds| format!("{seeds} seeds"));
     let over: Vec<String> = datasets.into_iter().chain(seeds).collect();
-    (!over.is_empty()).then(|| over.join(" or "))
+    let most = several.iter().chain(&one).filter_map(|mean| mean.episodes()).max();
+    let episodes = most.map_or_else(String::new, |most| format!(" and {most} test episodes"));
+    (!over.is_empty()).then(|| over.join(" or ") + &episodes)
+}
+
+/// The note that the intervals of some metrics do not contain how much other test episodes would change the means.
+/// `None` if all do.
+pub(super) fn note_about_shared_test<'a>(means: impl IntoIterator<Item = &'a Mean>) -> Option<String> {
+    let on_these = means.into_iter().filter(|mean| mean.test.is_some() && mean.episodes().is_none());
+    let on_these: Vec<&Mean> = on_these.filter(|mean| mean.interval.bounds.is_some()).collect();
+    let metrics: BTreeSet<String> = on_these.iter().map(|mean| mean.of.metric.clone()).collect();
+    let what = match on_these.first()?.over {
+        Over::Mean => format!("the intervals of {}", enumerated(&Vec::from_iter(metrics))),
+        Over::NextDataset => "the intervals".to_owned(),
+    };
+    Some(format!("runs in a world share their test episodes, and {what} are those on these episodes"))
 }
 
 /// The part of a variant that names an external model; empty for a network.
@@ -221,8 +285,18 @@ fn model_of(variant: &str) -> String {
     model_parts(variant).1.map_or_else(String::new, |model| format!("model={model}"))
 }
 
-/// For each run's position the seeds of its dataset and its training, the value, and its unit.
-type Values<'a> = BTreeMap<usize, ((u64, u64), f64, &'a str)>;
+/// A value of a run.
+struct Replicate {
+    /// The seeds of the run's dataset and its training.
+    seeds: (u64, u64),
+    value: f64,
+    /// The dataset of the test; `None` if it is the run's own.
+    test: Option<String>,
+    jackknife: Option<Jackknife>,
+}
+
+/// The value of each run by its position, and its unit.
+type Values<'a> = BTreeMap<usize, (Replicate, &'a str)>;
 
 impl Analysis {
     /// The horizons at which the runs that count predict, in samples.
@@ -242,7 +316,11 @@ impl Analysis {
     ///
     /// With settings among the keys, the variant is empty except for the name of an external model, unless it is a key
     /// too. What else the runs of an experiment differ in is in the other settings.
-    pub(super) fn means_of(&self, all: &[Row<'_>], keys: &[Key]) -> Vec<Mean> {
+    ///
+    /// # Errors
+    /// When a table is damaged.
+    pub(super) fn means_of(&self, all: &[Row<'_>], keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+        let jackknives = Jackknives::read(self, all)?;
         let asked: Vec<&'static str> = keys.iter().copied().filter_map(Key::setting).collect();
         let has_variants = asked.is_empty() || keys.contains(&Key::Variant);
         let settings = |run: &Run| match has_variants {
@@ -277,14 +355,15 @@ impl Analysis {
             .map(|(place, run)| {
                 let (own, seeds) = (group(run), (run.record.spec.dataset_seed(), run.record.spec.seed));
                 let of_baselines = number(Of { latent: None, ..own.clone() });
-                ((&*run.record.experiment, &*run.record.run), (place, [of_baselines, number(own)], seeds))
+                let test = run.record.test_dataset.as_ref();
+                ((&*run.record.experiment, &*run.record.run), (place, [of_baselines, number(own)], seeds, test))
             })
             .collect();
         let mut by_row: HashMap<_, Values> = HashMap::new();
         let mut repeated = HashSet::new();
         for row in all {
             let Some(value) = row.value else { continue };
-            let Some(&(place, groups, seeds)) = places.get(&(row.experiment, row.run)) else { continue };
+            let Some(&(place, groups, seeds, test)) = places.get(&(row.experiment, row.run)) else { continue };
             let is_network = !is_baseline(row.model);
             let group = groups[usize::from(is_network)];
             let key = (group, row.task, row.model, row.modality, row.direction, row.metric, row.horizon);
@@ -292,7 +371,9 @@ impl Analysis {
             if is_network && !has_variants && !repeated.insert((key, seeds)) {
                 continue;
             }
-            by_row.entry(key).or_default().insert(place, (seeds, value, row.unit));
+            let jackknife = jackknives.of(row).cloned();
+            let replicate = Replicate { seeds, value, test: test.cloned(), jackknife };
+            by_row.entry(key).or_default().insert(place, (replicate, row.unit));
         }
         let groups: BTreeMap<usize, Of> = groups.into_iter().map(|(of, number)| (number, of)).collect();
         let named =
@@ -304,16 +385,15 @@ impl Analysis {
         let found: BTreeMap<Of, Values> = named.collect();
         // A baseline's value is taken from the first run of a dataset. All runs of a group repeat it, up to rounding.
         let mean = |(of, values): (Of, Values)| {
-            let unit = values.values().next().map(|(.., unit)| (*unit).to_owned())?;
-            let mut values: Vec<((u64, u64), f64)> =
-                values.into_values().map(|(seeds, value, _)| (seeds, value)).collect();
+            let unit = values.values().next().map(|(_, unit)| (*unit).to_owned())?;
+            let mut values: Vec<Replicate> = values.into_values().map(|(replicate, _)| replicate).collect();
             if of.is_baseline() {
                 let mut datasets = BTreeSet::new();
-                values.retain(|((dataset, _), _)| datasets.insert(*dataset));
+                values.retain(|value| datasets.insert(value.seeds.0));
             }
             Mean::new(of, unit, values)
         };
-        over_most_datasets(found.into_iter().filter_map(mean).collect())
+        Ok(over_most_datasets(found.into_iter().filter_map(mean).collect()))
     }
 }
 

@@ -125,12 +125,12 @@ impl Question {
         let mut rows = self.rows(analysis, &table)?;
         rows.extend(skills(&rows));
         let (mut means, undefined) =
-            (analysis.means_of(&rows, &self.by), undefined(analysis, &rows, &self.of));
+            (analysis.means_of(&rows, &self.by)?, undefined(analysis, &rows, &self.of));
         if self.asks_for(Metric::SkillHorizon) {
             let errors = self.with_all_horizons();
             let table = errors.read(analysis)?;
             let rows = errors.rows(analysis, &table)?;
-            means.extend(analysis.means_of(&skill_horizons(&skills(&rows)), &self.by));
+            means.extend(analysis.means_of(&skill_horizons(&skills(&rows)), &self.by)?);
         }
         self.check_names(analysis, &means)?;
         let metrics = self.chosen_metrics(&means);
@@ -148,7 +148,6 @@ impl Question {
             metrics,
             labels: Labels::new(analysis, &self.by),
             sample_rate_hz: analysis.sample_rate_hz(),
-            shares_test: analysis.shares_test(),
             against: None,
             cells,
             notes,

@@ -178,7 +178,7 @@ pub fn table(registry: &Registry, table: Table, runs: &[Recorded], query: &Query
         Table::Runs if runs.is_empty() => None,
         Table::Runs => Some(runs_table(runs.iter().map(|(_, record)| record.clone()).collect())?),
         Table::Episodes => episodes(&episode_files(registry, runs)?)?,
-        Table::Epochs | Table::Metrics | Table::Predictions | Table::Forces | Table::Frames => {
+        Table::Epochs | Table::Metrics | Table::Sums | Table::Predictions | Table::Forces | Table::Frames => {
             let rows = run_table(registry, table, table, &done(), query)?;
             if table == Table::Epochs { with_live_epochs(rows, runs)? } else { rows }
         }

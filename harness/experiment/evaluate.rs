@@ -2,7 +2,7 @@
 
 use super::OpenData;
 use harness_judge::{
-    Given, JudgeError, MetricRow, NearestNeighbors, Persistence, Predictor, Ridge, SampledWindow, Test,
+    Given, JudgeError, Judged, NearestNeighbors, Persistence, Predictor, Ridge, SampledWindow, Test,
     TrainingMean, judge, sample_windows,
 };
 use harness_learning::data::NormalizedData;
@@ -15,8 +15,8 @@ use std::time::Instant;
 
 /// What all runs with the same data, inputs and outputs share.
 pub struct References {
-    /// The metrics of the baselines.
-    pub baselines: Vec<MetricRow>,
+    /// The metrics and the sums of the baselines.
+    pub baselines: Judged,
     /// The forces of the dataset.
     pub forces: Vec<ForceRows>,
     /// The test windows whose images are stored.
@@ -32,17 +32,17 @@ pub struct References {
 pub fn references(open: &OpenData, spec: &RunSpec) -> Result<References, JudgeError> {
     let begin = Instant::now();
     let OpenData { data, partition, .. } = open;
-    let mut rows = Vec::new();
+    let mut judged = Judged::default();
     for task in &spec.tasks {
-        rows.extend(baselines(data, partition, *task, spec)?);
+        baselines(data, partition, *task, spec, &mut judged)?;
     }
     let forces = forces(&data.samples);
     let sampled = sample_windows(&data.samples, &partition.test);
-    Ok(References { baselines: rows, forces, sampled, seconds: begin.elapsed().as_secs_f64() })
+    Ok(References { baselines: judged, forces, sampled, seconds: begin.elapsed().as_secs_f64() })
 }
 
 /// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
-/// network's input and the actions.
+/// network's input and the actions. Adds their rows.
 ///
 /// A reconstruction has only the training mean, because persistence would be its target. So it would be of an estimate
 /// of the present sample, whose vectors have the mean of the nearest neighbors instead.
@@ -54,12 +54,14 @@ fn baselines(
     partition: &Partition,
     task: Task,
     spec: &RunSpec,
-) -> Result<Vec<MetricRow>, JudgeError> {
+    judged: &mut Judged,
+) -> Result<(), JudgeError> {
     let samples = &*data.samples;
     let test = Test { samples, task, windows: &partition.test, since_s: &spec.window.since_s, sampled: None };
-    let mut rows = Vec::new();
     let mut add = |predictor: &dyn Predictor| {
-        rows.extend(judge(predictor, &test)?.metrics);
+        let Judged { metrics, sums, .. } = judge(predictor, &test)?;
+        judged.metrics.extend(metrics);
+        judged.sums.extend(sums);
         Ok::<_, JudgeError>(())
     };
     let (output, horizons) = match task {
@@ -89,7 +91,7 @@ fn baselines(
             add(&nearest)?;
         }
     }
-    Ok(rows)
+    Ok(())
 }
 
 /// Returns the distribution of the forces on each link, over the whole dataset and in each of its episodes.

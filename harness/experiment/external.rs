@@ -483,11 +483,8 @@ impl Runner<'_> {
     fn outcome(&self, task: &OpenTask, recorded: &[Recorded]) -> Result<Outcome, ExperimentError> {
         let references = task.references()?;
         let begin = Instant::now();
-        let mut outcome = Outcome {
-            metrics: references.baselines.clone(),
-            forces: references.forces.clone(),
-            ..Outcome::default()
-        };
+        let mut outcome = Outcome { forces: references.forces.clone(), ..Outcome::default() };
+        outcome.extend(references.baselines.clone());
         let windows = &task.open.partition.test;
         self.progress.begin("judging", (windows.len() * recorded.len()) as u64, "windows");
         for predictor in recorded {
@@ -495,9 +492,7 @@ impl Runner<'_> {
             let (samples, since_s) = (task.samples(), &task.task.spec.window.since_s);
             let test = Test { samples, task: Task::Prediction, windows, since_s, sampled };
             let judged = judge(predictor as &dyn Predictor, &test)?;
-            outcome.metrics.extend(judged.metrics);
-            outcome.predictions.extend(judged.predictions);
-            outcome.frames.extend(judged.frames);
+            outcome.extend(judged);
             self.progress.advance(windows.len() as u64);
         }
         self.progress.end();

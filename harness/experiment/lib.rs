@@ -569,7 +569,7 @@ impl TrainingRun<'_> {
             timings: Timings { collect: self.prepared.seconds, ..Timings::default() },
             ..Outcome::default()
         };
-        outcome.metrics.extend(references.baselines.iter().cloned());
+        outcome.extend(references.baselines.clone());
         outcome.forces = references.forces.clone();
         let (network, parameters) = self.predict(&mut outcome)?;
         outcome.parameters = parameters.values().map(|var| var.elem_count()).sum();
@@ -683,9 +683,7 @@ impl TrainingRun<'_> {
             sampled: Some(sampled),
         };
         let judged = judge(predictor, &test)?;
-        outcome.metrics.extend(judged.metrics);
-        outcome.predictions.extend(judged.predictions);
-        outcome.frames.extend(judged.frames);
+        outcome.extend(judged);
         outcome.timings.evaluation += begin.elapsed().as_secs_f64();
         Ok(())
     }

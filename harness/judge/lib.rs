@@ -14,7 +14,7 @@ pub use nearest::NearestNeighbors;
 pub use persistence::Persistence;
 pub use recorded::{Asked, Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
-pub use rows::{FrameRow, MetricRow, PredictionRow, is_usual};
+pub use rows::{FrameRow, MetricRow, Of, PredictionRow, SumRow, is_usual};
 pub use training_mean::TrainingMean;
 
 use harness_metrics::{Ensemble, Evaluation, ForceEvaluation, Forces, MetricsError, Points, Row, parts};
@@ -22,6 +22,7 @@ use harness_samples::{Sample, Samples, after, physical};
 use harness_spec::{Modality, Task};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Number of windows that are predicted at once. It limits the memory for frames.
 pub const BATCH: usize = 256;
@@ -115,10 +116,12 @@ pub struct Test<'a> {
 }
 
 /// The rows of a predictor.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Judged {
     /// Rows of the metrics table.
     pub metrics: Vec<MetricRow>,
+    /// Rows of the table of sums.
+    pub sums: Vec<SumRow>,
     /// Rows of the predictions table.
     pub predictions: Vec<PredictionRow>,
     /// Rows of the frames table.
@@ -146,7 +149,12 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
             let medians = ensemble.as_ref().map(Ensemble::medians);
             let points = Points { mean: values, median: medians.as_ref().unwrap_or(values) };
             let evaluation = evaluations.entry((*modality, *horizon)).or_insert_with(new);
-            add(evaluation, test.samples, *modality, &ahead, &reference, points)?;
+            for (rows, episode) in divided(&ahead, |sample| test.samples.place(sample).0) {
+                let values = rows.start * definition.width()..rows.end * definition.width();
+                let (own, points) = (&reference[values.clone()], points.part(values));
+                add(evaluation, test.samples, *modality, &ahead[rows], own, points)?;
+                evaluation.end_episode(episode as u32);
+            }
             if definition.is_force() {
                 let of_forces = || ForceEvaluation::new(definition);
                 forces.entry((*modality, *horizon)).or_insert_with(of_forces).add(&Forces {
@@ -171,16 +179,37 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
         })?;
     }
     let (task, model) = (test.task, predictor.name());
+    let Judged { metrics, sums, .. } = &mut judged;
     let mut list = |horizon: usize, rows: Vec<Row>| {
         let named = |row| MetricRow { task, model: model.to_owned(), horizon, given, row };
-        judged.metrics.extend(rows.into_iter().map(named));
+        metrics.extend(rows.into_iter().map(named));
     };
-    evaluations.iter().for_each(|((_, horizon), evaluation)| list(*horizon, evaluation.rows()));
+    for ((_, horizon), evaluation) in &evaluations {
+        list(*horizon, evaluation.rows());
+        let named = |row| SumRow { task, model: model.to_owned(), horizon: *horizon, given, row };
+        sums.extend(evaluation.sums().into_iter().map(named));
+    }
     forces.iter().for_each(|((_, horizon), evaluation)| list(*horizon, evaluation.rows()));
     for ((_, horizon, since_s), evaluation) in &later {
         list(*horizon, evaluation.rows_of_region(&format!("from_{since_s}s")));
     }
     Ok(judged)
+}
+
+/// Divides samples where `key` changes. Returns the range of each part, and its key.
+fn divided<K: PartialEq>(
+    at: &[Sample],
+    key: impl Fn(Sample) -> K,
+) -> impl Iterator<Item = (Range<usize>, K)> {
+    let mut keys = Vec::new();
+    for (place, sample) in at.iter().enumerate() {
+        let key = key(*sample);
+        if keys.last().is_none_or(|(_, last)| *last != key) {
+            keys.push((place, key));
+        }
+    }
+    let ends: Vec<usize> = keys.iter().skip(1).map(|(first, _)| *first).chain([at.len()]).collect();
+    keys.into_iter().zip(ends).map(|((first, key), end)| (first..end, key))
 }
 
 /// Adds the predictions of those samples `at` to an evaluation that are at `since_s` of their episode or later. Values
@@ -194,16 +223,12 @@ fn add_since(
     predicted: Points,
 ) -> Result<(), MetricsError> {
     let first = f64::from(since_s) * samples.recording().sample_rate_hz;
-    let is_later = |sample: &Sample| samples.place(*sample).1 as f64 >= first;
-    let (width, mut row) = (reference.len() / at.len(), 0);
-    for part in at.chunk_by(|one, next| is_later(one) == is_later(next)) {
-        let values = row * width..(row + part.len()) * width;
-        if is_later(&part[0]) {
-            let points =
-                Points { mean: &predicted.mean[values.clone()], median: &predicted.median[values.clone()] };
-            evaluation.add(&reference[values], points)?;
+    let width = reference.len() / at.len();
+    for (rows, is_later) in divided(at, |sample| samples.place(sample).1 as f64 >= first) {
+        let values = rows.start * width..rows.end * width;
+        if is_later {
+            evaluation.add(&reference[values.clone()], predicted.part(values))?;
         }
-        row += part.len();
     }
     Ok(())
 }

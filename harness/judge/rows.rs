@@ -1,13 +1,14 @@
 //! The rows of tables that predictions become.
 
 use super::{Predicted, Test};
-use harness_metrics::Row;
+use harness_metrics::{EpisodeSums, Row};
 use harness_samples::Sample;
 use harness_spec::{Modality, Task, intern};
 
-/// A row of the metrics table, without the columns that identify the run.
+/// A value that a predictor got in a test, with the columns that say which test. Those that identify the run are left
+/// out.
 #[derive(Debug, Clone)]
-pub struct MetricRow {
+pub struct Of<R> {
     /// The task that is evaluated.
     pub task: Task,
     /// The predictor's name: `network`, or that of a baseline or a model of another program.
@@ -16,9 +17,14 @@ pub struct MetricRow {
     pub horizon: usize,
     /// The modalities that the predictor got, as `arm,proprioception`; `None` if it got all of its run's input.
     pub given: Option<&'static str>,
-    /// The metric, its value, and what it is computed over.
-    pub row: Row,
+    /// The value, and what it is computed over.
+    pub row: R,
 }
+
+/// A row of the metrics table.
+pub type MetricRow = Of<Row>;
+/// A row of the table of sums.
+pub type SumRow = Of<EpisodeSums>;
 
 /// A row of the predictions table, without the columns that identify the run.
 #[derive(Debug, Clone, Copy)]

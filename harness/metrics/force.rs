@@ -253,10 +253,7 @@ impl ForceEvaluation {
             for metric in metrics.filter(|metric| is_absolute(metric) || (has_force && index.is_none())) {
                 let value = match metric {
                     Metric::R2 => r2(errors.clone()),
-                    Metric::Wmape => series::wmape(&errors),
-                    Metric::Smape => series::smape(&errors),
-                    Metric::Rmse => series::rmse(&errors),
-                    _ => series::mae(&errors),
+                    metric => series::value(metric, false, &errors),
                 };
                 add(metric, metric.in_region(name), value);
             }
@@ -312,7 +309,7 @@ fn r2(series: Vec<Series>) -> Option<f64> {
     let mean_square = series.iter().map(Series::mean_square).fold(smallest_mean_square(Some("N")), f64::max);
     let series: Vec<Series> =
         series.into_iter().map(|series| series.without_round_off(mean_square)).collect();
-    series::r2(&series)
+    series::value(Metric::R2, false, &series)
 }
 
 /// Returns a number from 0 to 1, excluding 1, which is the same for the same seed (SplitMix64; Steele, Lea and Flood,

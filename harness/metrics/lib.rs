@@ -216,6 +216,19 @@ impl Metric {
         percentage.into_iter().chain([R2, Rmse, Mae]).collect()
     }
 
+    /// Returns the metric, given the numerator and the denominator that [`series::sums`] defines; `None` if the
+    /// denominator is 0.
+    pub fn of_sums(self, [numerator, denominator]: [f64; 2]) -> Option<f64> {
+        let ratio = (denominator > 0.0).then(|| numerator / denominator)?;
+        Some(match self {
+            Metric::Regional(metric, _) => return metric.of_sums([numerator, denominator]),
+            Metric::R2 => 1.0 - ratio,
+            Metric::Smape | Metric::Wmape => 100.0 * ratio,
+            Metric::Rmse => ratio.sqrt(),
+            _ => ratio,
+        })
+    }
+
     /// Whether one value is better than another. It is not for a latent state, and not for the shape of a
     /// distribution, whose coverage should be as promised.
     pub fn is_judgment(self) -> bool {
@@ -302,6 +315,13 @@ impl<'a, T: AsRef<[f32]> + ?Sized> From<&'a T> for Points<'a> {
     }
 }
 
+impl<'a> Points<'a> {
+    /// Returns the part with these values.
+    pub fn part(self, values: std::ops::Range<usize>) -> Self {
+        Self { mean: &self.mean[values.clone()], median: &self.median[values] }
+    }
+}
+
 /// Returns the unit of a metric of some elements that does not belong to a region.
 fn metric_unit(definition: &Definition, metric: Metric, elements: &[usize]) -> String {
     match metric {
@@ -324,6 +344,34 @@ pub struct Evaluation {
     definition: Definition,
     columns: Vec<Series>,
     regions: Vec<RegionSums>,
+    episodes: Vec<Totals>,
+}
+
+/// The sums at the end of an episode, of all episodes so far.
+#[derive(Debug, Clone)]
+struct Totals {
+    episode: u32,
+    /// One series for each element of a vector, or one for all values of an image.
+    columns: Vec<Series>,
+    regions: Vec<Vec<Series>>,
+}
+
+/// The sums of a test episode from which a metric is computed, see [`Metric::of_sums`]. Their sums over all episodes
+/// give the metric of the whole test.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeSums {
+    /// The modality that is predicted.
+    pub modality: Modality,
+    /// The unit of the elements, if the modality has elements of different units.
+    pub direction: Option<Direction>,
+    /// The metric.
+    pub metric: Metric,
+    /// The episode of the dataset.
+    pub episode: u32,
+    /// The episode's part of the numerator.
+    pub numerator: f64,
+    /// The episode's part of the denominator.
+    pub denominator: f64,
 }
 
 /// Sums over the values in a region.
@@ -351,6 +399,7 @@ impl Evaluation {
                 .chain(definition.contact_regions())
                 .map(|name| region(&name))
                 .collect(),
+            episodes: Vec::new(),
         }
     }
 
@@ -430,7 +479,7 @@ impl Evaluation {
         let mut found = Vec::new();
         for Group { direction, index, elements } in self.groups() {
             let mut add = |metric: Metric, base: Metric, series: &[Series]| {
-                let (modality, value) = (self.definition.name, self.value(base, series));
+                let (modality, value) = (self.definition.name, series::value(base, self.is_change(), series));
                 found.push(Row {
                     modality,
                     direction,
@@ -499,41 +548,112 @@ impl Evaluation {
         largest
     }
 
-    /// Returns a metric of `series`, pooled; `None` if it isn't defined.
-    fn value(&self, metric: Metric, series: &[Series]) -> Option<f64> {
-        match metric {
-            Metric::Smape => series::smape(series),
-            Metric::Wmape => series::wmape(series),
-            Metric::R2 => series::r2(series),
-            Metric::Rmse => series::rmse(series),
-            Metric::Mae => series::mae(series),
-            Metric::RelativeError if self.definition.difference_of.is_some() => {
-                series::error_relative_to_zero(series)
+    fn is_change(&self) -> bool {
+        self.definition.difference_of.is_some()
+    }
+
+    /// Ends an episode, or a part of it: what was added since the last call is of this episode.
+    pub fn end_episode(&mut self, episode: u32) {
+        if self.episodes.last().is_some_and(|last| last.episode == episode) {
+            self.episodes.pop();
+        }
+        let columns = match self.definition.is_image() {
+            true => vec![Series::total(&self.columns)],
+            false => self.columns.clone(),
+        };
+        let regions = self.regions.iter().map(|region| region.series.clone()).collect();
+        self.episodes.push(Totals { episode, columns, regions });
+    }
+
+    /// Returns the sums of each episode that has ended, for the metrics of all elements, or of all with the same unit,
+    /// and for R2 and the relative error of each region. The relative error of an image that is no change is left out.
+    pub fn sums(&self) -> Vec<EpisodeSums> {
+        let mean_squares = self.mean_squares();
+        let mut found = Vec::new();
+        for Group { direction, elements, .. } in self.whole() {
+            let mean_square = mean_squares[&self.definition.unit_of(&elements)];
+            let elements = if self.definition.is_image() { vec![0] } else { elements };
+            let is_stored = |metric: &Metric| *metric != Metric::RelativeError || self.is_change();
+            for metric in Metric::of(&self.definition).into_iter().filter(is_stored) {
+                let mut add = |name: Metric, of: &dyn Fn(&Totals) -> Vec<Series>| {
+                    let of_elements = |totals: &Totals| -> Vec<Series> {
+                        let all = of(totals);
+                        elements.iter().map(|element| all[*element]).collect()
+                    };
+                    let modality = self.definition.name;
+                    let sums = self.of_episodes(metric, mean_square, &of_elements);
+                    found.extend(sums.map(|(episode, [numerator, denominator])| EpisodeSums {
+                        modality,
+                        direction,
+                        metric: name,
+                        episode,
+                        numerator,
+                        denominator,
+                    }));
+                };
+                add(metric, &|totals| totals.columns.clone());
+                let has_regions = matches!(metric, Metric::R2 | Metric::RelativeError);
+                for (place, region) in self.regions.iter().enumerate() {
+                    if has_regions && self.is_defined_in(&region.name, metric) {
+                        add(metric.in_region(&region.name), &|totals| totals.regions[place].clone());
+                    }
+                }
             }
-            Metric::RelativeError => series::error_relative_to_mean(series),
-            // They need the error of persistence, or the network.
-            Metric::Skill | Metric::SkillHorizon | Metric::Kl | Metric::Active => None,
-            Metric::Regional(metric, _) => self.value(*metric, series),
-            // They are those of a `ForceEvaluation`.
-            Metric::LogR2 | Metric::TrimmedR2 | Metric::F1 | Metric::Auc => None,
-            Metric::Crps | Metric::Coverage(_) | Metric::Width(_) | Metric::Pit(_) => None,
+        }
+        found
+    }
+
+    /// Returns each episode with the sums of a metric over the series that `of` takes from the totals at its end.
+    fn of_episodes(
+        &self,
+        metric: Metric,
+        mean_square: f64,
+        of: &dyn Fn(&Totals) -> Vec<Series>,
+    ) -> impl Iterator<Item = (u32, [f64; 2])> {
+        let totals: Vec<(u32, Vec<Series>)> =
+            self.episodes.iter().map(|totals| (totals.episode, of(totals))).collect();
+        let whole: Vec<Series> = totals.last().map_or_else(Vec::new, |(_, last)| last.clone());
+        // R2 is computed without constant elements. In an episode, another element may be constant.
+        let (counts, metric) = match metric {
+            Metric::R2 => {
+                let varies = |series: &Series| series.without_round_off(mean_square).varies();
+                (whole.iter().map(varies).collect(), Metric::RelativeError)
+            }
+            metric => (vec![true; whole.len()], metric),
+        };
+        let is_change = self.is_change() && self.definition.is_image();
+        let mut before = vec![Series::default(); whole.len()];
+        totals.into_iter().filter_map(move |(episode, now)| {
+            let own = now.iter().zip(&before).zip(&whole).zip(&counts).filter(|(_, counts)| **counts);
+            let own: Vec<Series> = own.map(|(((now, before), whole), _)| now.since(before, whole)).collect();
+            before = now;
+            Some((episode, series::sums(metric, is_change, &own)?))
+        })
+    }
+
+    /// The groups that together are all elements: one, or one for each unit.
+    fn whole(&self) -> Vec<Group> {
+        let definition = &self.definition;
+        match definition.unit() {
+            Some(_) => {
+                let elements = (0..definition.width()).collect();
+                vec![Group { direction: None, index: None, elements }]
+            }
+            None => definition
+                .by_unit()
+                .into_iter()
+                .map(|(unit, elements)| Group {
+                    direction: Some(Direction::in_unit(unit)),
+                    index: None,
+                    elements,
+                })
+                .collect(),
         }
     }
 
     fn groups(&self) -> Vec<Group> {
         let definition = &self.definition;
-        let mut groups = Vec::new();
-        match definition.unit() {
-            Some(_) => {
-                let elements = (0..definition.width()).collect();
-                groups.push(Group { direction: None, index: None, elements });
-            }
-            None => groups.extend(definition.by_unit().into_iter().map(|(unit, elements)| Group {
-                direction: Some(Direction::in_unit(unit)),
-                index: None,
-                elements,
-            })),
-        }
+        let mut groups = self.whole();
         let own = definition.groups.iter().filter(|group| definition.unit_of(&group.elements).is_some());
         groups.extend(own.map(|group| Group {
             direction: Some(Direction::new(&group.name)),

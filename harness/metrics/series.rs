@@ -1,8 +1,6 @@
-//! The formulas of the metrics, as functions of running sums.
-//!
-//! r is a reference value, p its prediction, and n the number of pairs. Each function takes one series or several.
-//! Several series are pooled: their sums are added before the formula is applied. The result is `None` where the
-//! formula would divide by zero, so it is never infinite.
+//! The sums from which metrics are computed. r is a reference value, p its prediction, and n the number of pairs.
+
+use super::Metric;
 
 /// The relative precision of recorded values: a 32-bit number differs from the value by up to half of this part of it
 /// (Higham, 2002, *Accuracy and Stability of Numerical Algorithms*, section 2.2).
@@ -61,6 +59,42 @@ impl Series {
         self.squared_deviation += from_old_mean * (r - self.reference_mean);
     }
 
+    /// Returns the sums of some series together. Its deviations are those from the mean of each.
+    pub(super) fn total(all: &[Series]) -> Self {
+        all.iter().fold(Self::default(), |total, one| Self {
+            count: total.count + one.count,
+            absolute_error: total.absolute_error + one.absolute_error,
+            squared_error: total.squared_error + one.squared_error,
+            symmetric_error: total.symmetric_error + one.symmetric_error,
+            absolute_reference: total.absolute_reference + one.absolute_reference,
+            squared_reference: total.squared_reference + one.squared_reference,
+            reference_mean: 0.0,
+            squared_deviation: total.squared_deviation + one.squared_deviation,
+        })
+    }
+
+    /// Returns the sums of the pairs that were added to `before` to get this series. The deviations are those from the
+    /// mean of `whole`.
+    pub(super) fn since(&self, before: &Series, whole: &Series) -> Self {
+        let deviation =
+            |s: &Series| s.squared_deviation + s.count * (s.reference_mean - whole.reference_mean).powi(2);
+        Self {
+            count: self.count - before.count,
+            absolute_error: self.absolute_error - before.absolute_error,
+            squared_error: self.squared_error - before.squared_error,
+            symmetric_error: self.symmetric_error - before.symmetric_error,
+            absolute_reference: self.absolute_reference - before.absolute_reference,
+            squared_reference: self.squared_reference - before.squared_reference,
+            reference_mean: whole.reference_mean,
+            squared_deviation: (deviation(self) - deviation(before)).max(0.0),
+        }
+    }
+
+    /// Whether the reference is not constant.
+    pub(super) fn varies(&self) -> bool {
+        self.squared_deviation > 0.0
+    }
+
     /// Returns the mean square of the reference; 0 without pairs.
     pub(super) fn mean_square(&self) -> f64 {
         ratio(self.squared_reference, self.count).unwrap_or(0.0)
@@ -83,61 +117,48 @@ impl FromIterator<(f32, f32)> for Series {
     }
 }
 
-/// Symmetric mean absolute percentage error, in % from 0 to 100: `100/n Σ |r - p| / (|r| + |p|)`.
+/// The sums whose ratio a metric of some series is computed from: a numerator and a denominator, see
+/// [`Metric::of_sums`]. Several series are pooled. `None` for a metric that is no such ratio.
 ///
-/// This is the paper's form, without the factor 2 that other forms have. A pair of zeros has no error. Returns `None`
-/// without pairs.
-pub fn smape(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.symmetric_error), sum(series, |s| s.count)).map(|value| 100.0 * value)
-}
-
-/// Weighted mean absolute percentage error, in %, unbounded above: `100 Σ |r - p| / Σ |r|`.
+/// | metric | numerator | denominator |
+/// |---|---|---|
+/// | SMAPE, the paper's form without a factor 2; a pair of zeros has no error | Σ \|r - p\| / (\|r\| + \|p\|) | n |
+/// | WMAPE, the paper's form | Σ \|r - p\| | Σ \|r\| |
+/// | R2, of series whose reference is not constant | Σ (r - p)² | Σ (r - mean of r)² |
+/// | RMSE | Σ (r - p)² | n |
+/// | MAE | Σ \|r - p\| | n |
+/// | relative error, if the reference is a change | Σ (r - p)² | Σ r² |
+/// | relative error otherwise | Σ (r - p)² | Σ (r - mean of r)² |
 ///
-/// This is the paper's form. Returns `None` if every reference is zero, such as the force on a link that is never
-/// touched.
-pub fn wmape(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.absolute_error), sum(series, |s| s.absolute_reference)).map(|value| 100.0 * value)
+/// Each series has its own mean. R2 of several series is then scikit-learn's
+/// `r2_score(multioutput="variance_weighted")`, in which a link that is rarely touched has little weight. The relative
+/// error includes the errors of series with a constant reference.
+pub fn sums(metric: Metric, is_change: bool, series: &[Series]) -> Option<[f64; 2]> {
+    let sum = |term: fn(&Series) -> f64| series.iter().map(term).sum::<f64>();
+    let numerator = match metric {
+        Metric::R2 => {
+            let varying = series.iter().filter(|s| s.varies());
+            return Some(varying.fold([0.0; 2], |[error, deviation], s| {
+                [error + s.squared_error, deviation + s.squared_deviation]
+            }));
+        }
+        Metric::Smape => sum(|s| s.symmetric_error),
+        Metric::Wmape | Metric::Mae => sum(|s| s.absolute_error),
+        Metric::Rmse | Metric::RelativeError => sum(|s| s.squared_error),
+        _ => return None,
+    };
+    let denominator = match metric {
+        Metric::Wmape => sum(|s| s.absolute_reference),
+        Metric::RelativeError if is_change => sum(|s| s.squared_reference),
+        Metric::RelativeError => sum(|s| s.squared_deviation),
+        _ => sum(|s| s.count),
+    };
+    Some([numerator, denominator])
 }
 
-/// Coefficient of determination, at most 1, without unit: `1 - Σ (r - p)² / Σ (r - mean of r)²`.
-///
-/// Each series has its own mean. Series with a constant reference are left out. With several series this is
-/// scikit-learn's `r2_score(multioutput="variance_weighted")`, in which a link that is rarely touched has little
-/// weight. Returns `None` if every reference is constant.
-pub fn r2(series: &[Series]) -> Option<f64> {
-    let varying = series.iter().filter(|s| s.squared_deviation > 0.0);
-    let (error, deviation) = varying
-        .fold((0.0, 0.0), |(error, deviation), s| (error + s.squared_error, deviation + s.squared_deviation));
-    ratio(error, deviation).map(|unexplained| 1.0 - unexplained)
-}
-
-/// Root mean squared error, in the values' unit: `sqrt(1/n Σ (r - p)²)`. Returns `None` without pairs.
-pub fn rmse(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.squared_error), sum(series, |s| s.count)).map(f64::sqrt)
-}
-
-/// Mean absolute error, in the values' unit: `1/n Σ |r - p|`. Returns `None` without pairs.
-pub fn mae(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.absolute_error), sum(series, |s| s.count))
-}
-
-/// Squared error relative to predicting zero everywhere, without unit: `Σ (r - p)² / Σ r²`.
-///
-/// Returns `None` if every reference is zero.
-pub fn error_relative_to_zero(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.squared_error), sum(series, |s| s.squared_reference))
-}
-
-/// Squared error relative to predicting the mean of each series, without unit: `Σ (r - p)² / Σ (r - mean of r)²`.
-///
-/// Unlike `1 - r2`, it includes the errors of series with a constant reference. Returns `None` if every reference is
-/// constant.
-pub fn error_relative_to_mean(series: &[Series]) -> Option<f64> {
-    ratio(sum(series, |s| s.squared_error), sum(series, |s| s.squared_deviation))
-}
-
-fn sum(series: &[Series], term: impl Fn(&Series) -> f64) -> f64 {
-    series.iter().map(term).sum()
+/// The metric of some series, pooled; `None` if it isn't defined.
+pub fn value(metric: Metric, is_change: bool, series: &[Series]) -> Option<f64> {
+    metric.of_sums(sums(metric, is_change, series)?)
 }
 
 fn ratio(numerator: f64, denominator: f64) -> Option<f64> {

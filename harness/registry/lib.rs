@@ -5,7 +5,7 @@
 //! ```text
 //! results/datasets/<scenario>-<hash>/dataset.json, model.xml, episode_00000.parquet …
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
-//!     epochs.parquet, metrics.parquet, predictions.parquet, forces.parquet, frames.parquet,
+//!     epochs.parquet, metrics.parquet, sums.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see the crate `catalog`
 //! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`

@@ -44,6 +44,8 @@ pub enum Table {
     Metrics,
     /// Like [`Table::Metrics`], and also for later samples and for models that got only some inputs.
     AllMetrics,
+    /// One row for each metric and test episode.
+    Sums,
     /// One row for each test sample and joint or link.
     Predictions,
     /// Like [`Table::Predictions`], and also for later samples and for models that got only some inputs.
@@ -58,11 +60,12 @@ pub enum Table {
 
 impl Table {
     /// All tables.
-    pub const ALL: [Table; 9] = [
+    pub const ALL: [Table; 10] = [
         Table::Runs,
         Table::Epochs,
         Table::Metrics,
         Table::AllMetrics,
+        Table::Sums,
         Table::Predictions,
         Table::AllPredictions,
         Table::Forces,
@@ -77,6 +80,7 @@ impl Table {
             Table::Epochs => "epochs",
             Table::Metrics => "metrics",
             Table::AllMetrics => "all_metrics",
+            Table::Sums => "sums",
             Table::Predictions => "predictions",
             Table::AllPredictions => "all_predictions",
             Table::Forces => "forces",
@@ -115,6 +119,9 @@ impl Table {
             Table::AllMetrics => {
                 "the rows of metrics, those of samples further ahead, and those of models that got only some inputs"
             }
+            Table::Sums => {
+                "one row for each metric and test episode: two sums that the metric is computed from"
+            }
             Table::Predictions => "one row for each test sample and joint or link",
             Table::AllPredictions => {
                 "the rows of predictions, those of samples further ahead, and those of models that got only some inputs"
@@ -134,6 +141,7 @@ impl Table {
             Table::Epochs => [run_key(), epoch_values()].concat(),
             Table::Metrics => [run_key(), metric_values()].concat(),
             Table::AllMetrics => [run_key(), metric_values(), distance()].concat(),
+            Table::Sums => [run_key(), sum_values()].concat(),
             Table::Predictions => [run_key(), prediction_values()].concat(),
             Table::AllPredictions => [run_key(), prediction_values(), distance()].concat(),
             Table::Forces => [run_key(), force_values()].concat(),
@@ -319,6 +327,39 @@ fn metric_values() -> Vec<Column> {
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),
     ]
+}
+
+fn sum_values() -> Vec<Column> {
+    let mut columns = vec![
+        text("task", "prediction or reconstruction"),
+        text("model", "as in metrics"),
+        text("modality", "what is predicted"),
+        text(
+            "direction",
+            "'in rad', 'in m' and so on for the elements with a unit, if a modality has several; null for all elements",
+        ),
+        text(
+            "metric",
+            "a metric of metrics that is computed from the ratio of two sums: 1 minus it (r2, r2_ground), 100 times it \
+             (smape, wmape), its root (rmse), or itself (mae, relative_error)",
+        ),
+    ];
+    columns.extend(distance());
+    columns.extend([
+        integer("episode", "episode of the dataset that has the test episodes"),
+        real(
+            "numerator",
+            "",
+            "sum of the errors in the episode, to 0.05 %: absolute for mae and wmape, squared for rmse and r2",
+        ),
+        real(
+            "denominator",
+            "",
+            "what the sum of the numerators of all episodes is divided by, as far as it is of this episode: the number \
+             of values, or the sum of their absolute references or squared deviations from the mean of the test",
+        ),
+    ]);
+    columns
 }
 
 fn prediction_values() -> Vec<Column> {

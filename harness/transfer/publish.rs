@@ -60,7 +60,7 @@ pub struct Content<'a> {
 
 impl Content<'_> {
     /// The tables that can be left out.
-    pub const OPTIONAL: [Table; 3] = [Table::Predictions, Table::Frames, Table::Forces];
+    pub const OPTIONAL: [Table; 4] = [Table::Predictions, Table::Frames, Table::Forces, Table::Sums];
 
     fn has(&self, table: Table) -> bool {
         !self.without.contains(&table.usual().unwrap_or(table))
