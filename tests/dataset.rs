@@ -2,7 +2,7 @@
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
 use harness_collection::{CollectionError, collect, dataset_of};
-use harness_dataset::{CompiledModel, Dataset, DatasetError};
+use harness_dataset::{AnyDataset, CompiledModel, Dataset, DatasetError};
 use harness_ops::frames::{Frames, SampleFrames};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
 use harness_shared::files::UNFINISHED;
@@ -875,7 +875,8 @@ fn all_of_a_test_dataset_and_nothing_else_is_for_the_test() {
     let test = dataset_of(collected.root.path(), &collected.scene, &test);
     collect(&test, &collected.scene, 2, &Silent).unwrap();
     assert_eq!(Dataset::at(test.folder()).unwrap().spec(), test.spec());
-    let samples = collected.dataset.load_with_test(Some(&test), FramePlace::Memory, &Silent).unwrap();
+    let (own, test) = (AnyDataset::from(collected.dataset), AnyDataset::from(test));
+    let samples = own.load_with_test(Some(&test), FramePlace::Memory, &Silent).unwrap();
     let alone = test.load(FramePlace::Memory, &Silent).unwrap();
     let Partition { training, validation, test } =
         samples.partition(&Split::default(), &Window::TRANSITION).unwrap();

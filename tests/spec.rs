@@ -690,7 +690,16 @@ fn a_test_that_can_have_no_dataset_of_its_own_is_refused() {
             "is imported, so no episodes can be simulated",
         ),
         (&["test.episodes=9", "simulation.episodes=1"], "leaves none for training"),
-        (&["test.dataset=x"], "test.episodes, test.seed"),
+        (&["test.dataset=x"], "test.dataset"),
+        (&["test.dataset=lab-0123456789abcdef"], "'empty' is simulated, and so is its test"),
+        (
+            &["test.dataset=lab-0123456789abcdef", "scenarios=[lab-0123456789abcdef]"],
+            "'lab-0123456789abcdef' would be for training and for the test",
+        ),
+        (
+            &["test.dataset=day-0123456789abcdef", "test.seed=1", "scenarios=[lab-0123456789abcdef]"],
+            "has episodes of its own; leave out test.episodes and test.seed",
+        ),
         (&["test.episodes=0"], "1"),
         (&["simulation.test=true"], "simulation.test"),
         (&["simulation.seed=9007199254740992"], "9007199254740991"),

@@ -1,12 +1,30 @@
 //! A dataset on disk that was simulated or imported.
 
 use super::description::is_imported;
+use super::episode_file::push_all;
 use super::{Dataset, DatasetError, Imported};
-use harness_samples::{FramePlace, Samples};
+use harness_samples::{FramePlace, Recording, Samples};
+use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
-use harness_spec::Layout;
+use harness_spec::{Definition, Element, Episode, Layout};
 use std::path::Path;
 use std::sync::Arc;
+
+impl From<Dataset> for AnyDataset {
+    fn from(dataset: Dataset) -> Self {
+        Self::Simulated(dataset)
+    }
+}
+
+impl Dataset {
+    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
+    ///
+    /// # Errors
+    /// See [`AnyDataset::load`].
+    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
+        AnyDataset::from(self.clone()).load(frames, progress)
+    }
+}
 
 /// A simulated or imported dataset on disk.
 #[derive(Debug, Clone)]
@@ -69,9 +87,102 @@ impl AnyDataset {
     /// # Errors
     /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
     pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
+        self.load_with_test(None, frames, progress)
+    }
+
+    /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
+    /// Both must have the same modalities.
+    ///
+    /// # Errors
+    /// See [`AnyDataset::load`].
+    pub fn load_with_test(
+        &self,
+        test: Option<&AnyDataset>,
+        frames: FramePlace,
+        progress: &dyn Progress,
+    ) -> Result<Samples, DatasetError> {
+        let all = self.len() + test.map_or(0, Self::len);
+        let mut samples = Samples::new(self.recording(), self.layout().clone(), all, frames, self.folder())?;
+        let push = |dataset: &Self, samples: &mut Samples| {
+            let read = |index: u32| dataset.read(index, frames != FramePlace::Nowhere);
+            push_all(samples, dataset.episodes(), read, progress)
+        };
+        let title = match self {
+            Self::Simulated(dataset) => dataset.scenario().name(),
+            Self::Imported(dataset) => dataset.name(),
+        };
+        progress.begin(&format!("loading {title}"), all as u64, "samples");
+        push(self, &mut samples)?;
+        if let Some(test) = test {
+            samples.begin_test();
+            push(test, &mut samples)?;
+        }
+        progress.end();
+        Ok(match self {
+            Self::Simulated(_) => samples,
+            Self::Imported(dataset) => samples.with_labels(dataset.labels()),
+        })
+    }
+
+    /// Says in what the samples of another dataset differ from those of this one; `None` if networks can't tell.
+    pub fn difference(&self, other: &Self) -> Option<String> {
+        let (name, here, there) = (other.name(), self.layout(), other.layout());
+        if let Some(missing) = here.names().find(|modality| there.get(*modality).is_none()) {
+            return Some(format!("{name} has no {missing}"));
+        }
+        if let Some(more) = there.names().find(|modality| here.get(*modality).is_none()) {
+            return Some(format!("{name} also has {more}"));
+        }
+        let [own, others] = [self, other].map(Self::sample_rate_hz);
+        if own != others {
+            return Some(format!("{name} has {others} samples per second instead of {own}"));
+        }
+        let differs = |definition: &&Definition| {
+            let plain = |of: &Definition| Definition { meaning: String::new(), ..of.clone() };
+            plain(definition) != plain(&there[definition.name])
+        };
+        let definition = here.modalities.iter().find(differs)?;
+        let other = &there[definition.name];
+        let elements = definition.elements().iter().zip(other.elements());
+        let element = elements.enumerate().find(|(_, (own, others))| own != others);
+        Some(match (definition.width() == other.width(), element) {
+            (false, _) => {
+                let (own, others) = (definition.width(), counted(other.width(), "value"));
+                format!("{} of {name} has {others} instead of {own}", definition.name)
+            }
+            (true, Some((index, (own, others)))) => {
+                let shown = |of: &Element| format!("'{}' in '{}'", of.name, of.unit);
+                let (modality, own, others) = (definition.name, shown(own), shown(others));
+                format!("element {index} of {modality} of {name} is {others} instead of {own}")
+            }
+            (true, None) => format!("{} of {name} has another definition", definition.name),
+        })
+    }
+
+    /// Returns the dataset's folder.
+    pub fn folder(&self) -> &Path {
         match self {
-            Self::Simulated(dataset) => dataset.load(frames, progress),
-            Self::Imported(dataset) => dataset.load(frames, progress),
+            Self::Simulated(dataset) => dataset.folder(),
+            Self::Imported(dataset) => dataset.folder(),
+        }
+    }
+
+    /// Returns the properties that all samples share.
+    pub fn recording(&self) -> Recording {
+        match self {
+            Self::Simulated(dataset) => dataset.recording(),
+            Self::Imported(dataset) => dataset.recording(),
+        }
+    }
+
+    /// Reads one episode, with or without its frames. The whole file is compared with its seal in both cases.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or not this episode.
+    pub fn read(&self, index: u32, frames: bool) -> Result<Episode, DatasetError> {
+        match self {
+            Self::Simulated(dataset) => dataset.read(index, frames),
+            Self::Imported(dataset) => dataset.read(index, frames),
         }
     }
 
@@ -85,13 +196,9 @@ impl AnyDataset {
 
     /// Reads one episode into memory, with its frames, as the only one of a dataset.
     pub fn load_episode(&self, index: u32) -> Result<Samples, DatasetError> {
-        let (recording, episode) = match self {
-            Self::Simulated(dataset) => (dataset.recording(), dataset.read(index, true)?),
-            Self::Imported(dataset) => (dataset.recording(), dataset.read(index, true)?),
-        };
-        let place = FramePlace::Memory;
+        let (episode, layout) = (self.read(index, true)?, self.layout().clone());
         let mut samples =
-            Samples::new(recording, self.layout().clone(), episode.samples, place, Path::new(""))?;
+            Samples::new(self.recording(), layout, episode.samples, FramePlace::Memory, Path::new(""))?;
         samples.push(&episode)?;
         Ok(samples)
     }

@@ -2,10 +2,9 @@
 
 use super::DatasetError;
 use super::description::{Content, Description};
-use super::episode_file::{episode_file, push_all, read_episode};
-use harness_samples::{FramePlace, Labels, Recording, Samples};
+use super::episode_file::{episode_file, read_episode};
+use harness_samples::{Labels, Recording};
 use harness_shared::numbers::counted;
-use harness_shared::progress::Progress;
 use harness_spec::{Division, Episode, Layout, Modality, Part, RunSpec, Split, Window, WindowStart};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,6 +30,11 @@ impl Imported {
         let content =
             description.imported(name).ok_or_else(|| damaged("it does not describe this dataset".into()))?;
         Ok(Self { folder, name: name.to_owned(), layout: content.layout(), content })
+    }
+
+    /// Returns the dataset's folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// Returns the name of the dataset's folder.
@@ -66,7 +70,7 @@ impl Imported {
             return Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") });
         }
         let split = self.labels().split(&spec.split);
-        if split.has_groups() || matches!(split.by, Division::Label(_)) {
+        if spec.test.is_none() && (split.has_groups() || matches!(split.by, Division::Label(_))) {
             self.parts(&spec.split)
                 .map_err(|problem| DatasetError::Split { dataset: self.name.clone(), problem })?;
         }
@@ -94,20 +98,6 @@ impl Imported {
                 self.name
             )
         })
-    }
-
-    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
-    ///
-    /// # Errors
-    /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
-    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        let mut samples =
-            Samples::new(self.recording(), self.layout.clone(), self.len(), frames, &self.folder)?;
-        let read = |index: u32| self.read(index, frames != FramePlace::Nowhere);
-        progress.begin(&format!("loading {}", self.name), self.len() as u64, "samples");
-        push_all(&mut samples, self.episodes(), read, progress)?;
-        progress.end();
-        Ok(samples.with_labels(self.labels()))
     }
 
     /// Returns what is known about the episodes besides their samples.

@@ -2,9 +2,9 @@
 
 use super::DatasetError;
 use super::description::{Description, FORMAT, MODEL, MODEL_TEXT, identify};
-use super::episode_file::{episode_file, open_episode, push_all, read_episode};
+use super::episode_file::{episode_file, open_episode, read_episode};
 use super::version::WorldVersion;
-use harness_samples::{FramePlace, Recording, Samples};
+use harness_samples::Recording;
 use harness_shared::files::write_bytes;
 use harness_shared::progress::{Progress, Silent};
 use harness_shared::seal::hex;
@@ -258,37 +258,6 @@ impl Dataset {
             columns.push(frames.with_name(definition.name.name().into()).into_series().into());
         }
         DataFrame::new(samples, columns)
-    }
-
-    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
-    ///
-    /// # Errors
-    /// When an episode is missing or damaged, frames can't be written to disk, or the caller cancels.
-    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        self.load_with_test(None, frames, progress)
-    }
-
-    /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
-    pub fn load_with_test(
-        &self,
-        test: Option<&Dataset>,
-        frames: FramePlace,
-        progress: &dyn Progress,
-    ) -> Result<Samples, DatasetError> {
-        let all = self.len() + test.map_or(0, Dataset::len);
-        let mut samples = Samples::new(self.recording(), self.layout.clone(), all, frames, &self.folder)?;
-        let push = |dataset: &Dataset, samples: &mut Samples| {
-            let read = |index: u32| dataset.read(index, frames != FramePlace::Nowhere);
-            push_all(samples, dataset.spec.episodes, read, progress)
-        };
-        progress.begin(&format!("loading {}", self.scenario), all as u64, "samples");
-        push(self, &mut samples)?;
-        if let Some(test) = test {
-            samples.begin_test();
-            push(test, &mut samples)?;
-        }
-        progress.end();
-        Ok(samples)
     }
 
     /// Returns the properties that all samples share.

@@ -3,7 +3,7 @@
 use super::evaluate::{self, References};
 use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
-use harness_dataset::{AnyDataset, Dataset};
+use harness_dataset::AnyDataset;
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings, quoted};
 use harness_samples::{Partition, Sample, Samples, ends};
@@ -439,7 +439,7 @@ impl Runner<'_> {
         let spec = task.task.run(&model, seed);
         let source = &task.task.source;
         let folder = self.registry.run(&task.task.experiment, &spec, source.dataset.name());
-        let folder = folder.with_test(source.test.as_ref().map(Dataset::name));
+        let folder = folder.with_test(source.test.as_ref().map(AnyDataset::name));
         let submission = Submission {
             task: task.task.hash(),
             predictions_sha256: digest(&recorded),

@@ -45,7 +45,7 @@ use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Device, Experiment, Layout, Origin, RunSpec, Simulation, Task, Trained, World};
+use harness_spec::{Device, Experiment, Layout, RunSpec, Task, Trained, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::collections::HashMap;
@@ -196,37 +196,43 @@ pub struct Planned {
 struct Source {
     dataset: AnyDataset,
     /// The dataset for the test, if it has one of its own.
-    test: Option<Dataset>,
+    test: Option<AnyDataset>,
     scene: Option<Box<Scene>>,
 }
 
 impl Source {
     /// Returns the dataset whose episodes are for the test.
     fn tested(&self) -> AnyDataset {
-        self.test.clone().map_or_else(|| self.dataset.clone(), AnyDataset::Simulated)
+        self.test.clone().unwrap_or_else(|| self.dataset.clone())
     }
 
     /// Returns the number of samples, also of those for the test.
     fn len(&self) -> usize {
-        self.dataset.len() + self.test.as_ref().map_or(0, Dataset::len)
+        self.dataset.len() + self.test.as_ref().map_or(0, AnyDataset::len)
     }
 
     /// Returns the simulated datasets.
     fn simulated(&self) -> impl Iterator<Item = &Dataset> {
-        let own = match &self.dataset {
+        std::iter::once(&self.dataset).chain(&self.test).filter_map(|dataset| match dataset {
             AnyDataset::Simulated(dataset) => Some(dataset),
             AnyDataset::Imported(_) => None,
-        };
-        own.into_iter().chain(&self.test)
+        })
     }
 
     /// Returns an error if a run can't use the samples.
     fn check(&self, spec: &RunSpec) -> Result<(), ExperimentError> {
-        if let AnyDataset::Imported(dataset) = &self.dataset {
-            dataset.check(spec)?;
+        for dataset in std::iter::once(&self.dataset).chain(&self.test) {
+            if let AnyDataset::Imported(dataset) = dataset {
+                dataset.check(spec)?;
+            }
         }
         let unsuitable =
             |problem| ExperimentError::Unsuitable { dataset: self.dataset.name().to_owned(), problem };
+        if let Some(difference) = self.test.as_ref().and_then(|test| self.dataset.difference(test)) {
+            return Err(unsuitable(format!(
+                "{difference}, so it can't be the test; import both recordings with the same modalities and rate"
+            )));
+        }
         spec.check(self.dataset.layout()).map_err(unsuitable)
     }
 
@@ -323,19 +329,18 @@ impl<'a> Runner<'a> {
         if let Some(repetitions) = experiment.repetitions() {
             self.progress.say(&repetitions);
         }
-        type Simulations = [Option<Simulation>; 2];
-        let mut sources: Vec<(Origin, Simulations, Arc<Source>)> = Vec::new();
+        let mut sources: Vec<(RunSpec, Arc<Source>)> = Vec::new();
         let mut wanted = Vec::new();
         for spec in experiment.runs() {
-            let simulations = [spec.simulation.clone(), spec.test_simulation()];
-            let known = sources
-                .iter()
-                .find(|(origin, simulated, _)| (origin, simulated) == (&spec.scenario, &simulations));
+            fn data(spec: &RunSpec) -> impl PartialEq {
+                (&spec.scenario, &spec.simulation, &spec.test)
+            }
+            let known = sources.iter().find(|(of, _)| data(of) == data(&spec));
             let source = match known {
-                Some((.., source)) => source.clone(),
+                Some((_, source)) => source.clone(),
                 None => {
                     let source = Arc::new(self.source(experiment, &spec)?);
-                    sources.push((spec.scenario.clone(), simulations, source.clone()));
+                    sources.push((spec.clone(), source.clone()));
                     source
                 }
             };
@@ -343,7 +348,7 @@ impl<'a> Runner<'a> {
             let name = source.dataset.name();
             let folder = |spec: RunSpec| {
                 let folder = self.registry.run(&experiment.name, &spec, name);
-                (folder.with_test(source.test.as_ref().map(Dataset::name)), spec)
+                (folder.with_test(source.test.as_ref().map(AnyDataset::name)), spec)
             };
             let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
             wanted.push((rungs, source));
@@ -382,12 +387,14 @@ impl<'a> Runner<'a> {
                 let test = spec.test_simulation();
                 std::iter::once(&simulation).chain(&test).try_for_each(|of| scene.check(of))?;
                 let dataset = AnyDataset::Simulated(dataset_of(&root, &scene, &simulation));
-                let test = test.map(|simulation| dataset_of(&root, &scene, &simulation));
+                let test = test.map(|simulation| dataset_of(&root, &scene, &simulation).into());
                 Source { dataset, test, scene: Some(scene) }
             }
             (None, origin) => {
-                let dataset = AnyDataset::Imported(Imported::open(&root, origin.name())?);
-                Source { dataset, test: None, scene: None }
+                let open = |name: &str| Imported::open(&root, name).map(AnyDataset::Imported);
+                let test = spec.test.as_ref().and_then(|test| test.dataset.as_deref());
+                let (dataset, test) = (open(origin.name())?, test.map(open).transpose()?);
+                Source { dataset, test, scene: None }
             }
         };
         Ok(source)
@@ -440,18 +447,17 @@ impl<'a> Runner<'a> {
     /// Reads a run's dataset, divides it and normalizes it.
     fn open(&self, spec: &RunSpec, source: &Source, frames: FramePlace) -> Result<OpenData, ExperimentError> {
         let begin = Instant::now();
-        let samples = match &source.dataset {
-            AnyDataset::Simulated(own) => own.load_with_test(source.test.as_ref(), frames, self.progress)?,
-            AnyDataset::Imported(own) => own.load(frames, self.progress)?,
-        };
-        if let AnyDataset::Imported(dataset) = &source.dataset
-            && let Some(note) = dataset.short_episodes(spec)
-        {
-            self.progress.say(&note);
+        let samples = source.dataset.load_with_test(source.test.as_ref(), frames, self.progress)?;
+        for dataset in std::iter::once(&source.dataset).chain(&source.test) {
+            if let AnyDataset::Imported(dataset) = dataset
+                && let Some(note) = dataset.short_episodes(spec)
+            {
+                self.progress.say(&note);
+            }
         }
         let partition = samples.partition(&spec.split, &spec.window).ok_or(ExperimentError::NoTraining)?;
         if matches!(source.dataset, AnyDataset::Imported(_)) {
-            let split = samples.labels().split(&spec.split);
+            let split = samples.split(&spec.split);
             for note in
                 recorded::notes(&samples, &spec.modalities(), &spec.output, &partition, &split, &spec.window)?
             {

@@ -84,9 +84,14 @@ pub(super) fn notes(
 ) -> Result<Vec<String>, JudgeError> {
     let mut notes = setpoint_notes(samples, output, partition)?;
     notes.extend(used.iter().filter_map(|modality| beyond_range(samples, *modality, partition)));
-    notes.extend(missing_groups(samples, split));
-    let trials = samples.labels().values(Division::Label("trial"), samples.episodes().len());
-    if let Ok([first, others @ ..]) = trials.as_deref()
+    // The labels are those of the dataset, and not of one that the test has for itself.
+    let is_whole = samples.own_episodes().len() == samples.episodes().len();
+    if is_whole {
+        notes.extend(missing_groups(samples, split));
+    }
+    let trials = samples.labels().values(Division::Label("trial"), samples.own_episodes().len());
+    if is_whole
+        && let Ok([first, others @ ..]) = trials.as_deref()
         && others.iter().all(|trial| trial == first)
     {
         notes.push(

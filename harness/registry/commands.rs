@@ -125,7 +125,8 @@ impl<'a> Commands<'a> {
     /// Why the dataset of a run can't be had any more, and what to do. `None` if nothing is known against it.
     fn loss(&self, record: &RunRecord) -> Option<String> {
         let Some(simulation) = &record.spec.simulation else {
-            let is_gone = !self.registry.datasets().join(&record.dataset).exists();
+            let mut datasets = record.datasets();
+            let is_gone = datasets.any(|(name, _)| !self.registry.datasets().join(name).exists());
             let reason = "the dataset was imported, and is not there; import it again with the same mapping";
             return is_gone.then(|| reason.to_owned());
         };

@@ -322,7 +322,7 @@ impl RunRecord {
 
     /// The datasets that the run used, each with the number of its episodes; 0 for an imported one.
     pub fn datasets(&self) -> impl Iterator<Item = (&str, u32)> {
-        let tested = self.spec.test.as_ref().map_or(0, |test| test.episodes);
+        let tested = self.spec.test_simulation().map_or(0, |simulation| simulation.episodes);
         let test = self.test_dataset.as_deref().map(|name| (name, tested));
         std::iter::once((&*self.dataset, self.episodes())).chain(test)
     }

@@ -12,7 +12,7 @@ pub use normalizer::{Normalizer, Normalizers};
 pub use window::{Partition, Sample, after, before, ends, sequences};
 
 use frames::FrameStore;
-use harness_spec::{Action, Definition, Episode, Layout, Modality};
+use harness_spec::{Action, Definition, Episode, Layout, Modality, Split};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -137,6 +137,15 @@ impl Samples {
     /// Returns what is known about the episodes of a recording.
     pub fn labels(&self) -> &Labels {
         &self.labels
+    }
+
+    /// Returns the split of these samples if a spec has this one: the recording's own if the spec leaves it open, unless
+    /// the test has a dataset of its own.
+    pub fn split(&self, given: &Split) -> Split {
+        match self.before_test {
+            Some(_) => given.clone(),
+            None => self.labels.split(given),
+        }
     }
 
     /// Declares that all further episodes are those of a dataset of its own for the test.

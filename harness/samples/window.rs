@@ -106,7 +106,7 @@ impl Samples {
     /// Divides the windows into training, validation and test; `None` if one of them would have no whole window. A
     /// window never leaves its episode. If episodes or times are split, it never leaves its part.
     pub fn partition(&self, split: &Split, window: &Window) -> Option<Partition> {
-        let split = &self.labels().split(split);
+        let split = &self.split(split);
         let partition = match split.by {
             Division::Episode if !split.has_groups() => self.partition_by_episode(split, window),
             Division::Episode | Division::Label(_) => self.partition_by_group(split, window),

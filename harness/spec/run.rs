@@ -197,8 +197,8 @@ impl RunSpec {
 
     /// Returns the settings of the simulation of the run's own test dataset; `None` if it has none.
     pub fn test_simulation(&self) -> Option<Simulation> {
-        let TestDataset { episodes, seed } = *self.test.as_ref()?;
-        Some(Simulation { seed, episodes, test: true, ..self.simulation.clone()? })
+        let TestDataset { episodes, seed, .. } = self.test.as_ref()?;
+        Some(Simulation { seed: *seed, episodes: *episodes, test: true, ..self.simulation.clone()? })
     }
 
     /// Returns the size of the latent state; `None` for an external model.

@@ -1,7 +1,7 @@
 //! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
 //! and the checks of a spec are generated from these attributes.
 
-use super::origin::Origin;
+use super::origin::{IMPORTED_NAME, Origin};
 use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::split::Split;
@@ -394,7 +394,8 @@ impl Network {
 
 /// The dataset on which runs are tested. Its episodes are simulated like those that a run is trained on, with the same
 /// settings except their number and seed, but from random streams of their own. Equal seeds therefore give other
-/// motions. The dataset of the run is divided into training and validation only, and `split.test` has no effect.
+/// motions. The test of an imported dataset is another imported dataset. The dataset of the run is divided into training
+/// and validation only, and `split.test` has no effect.
 #[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TestDataset {
@@ -405,6 +406,11 @@ pub struct TestDataset {
     /// Seed of the episodes.
     #[schemars(range(min = 0, max = MAX_SEED))]
     pub seed: u64,
+    /// Name of the imported dataset with the test episodes, of which all are used, for runs on imported datasets. It
+    /// must have the same modalities and sample rate as these.
+    #[schemars(regex(pattern = IMPORTED_NAME))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dataset: Option<String>,
 }
 
 /// How a network is trained.

@@ -8,7 +8,7 @@ use super::simulation::{Setting, Simulation};
 use super::split::{Division, Split, Tested};
 use super::types::{
     Device, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading, Settings, Task,
-    Training, WindowStart,
+    TestDataset, Training, WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
@@ -696,8 +696,8 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
             return fault(format!("split.{key}"), message);
         }
     }
-    if experiment.test.is_some() {
-        return test_dataset(experiment);
+    if let Some(test) = &experiment.test {
+        return test_dataset(experiment, test);
     }
     if split.gap_seconds.is_some() && by != Division::Time {
         return fault(
@@ -748,8 +748,9 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
     }
 }
 
-/// Refuses a dataset for the test that can't be simulated, or that leaves no episodes for training.
-fn test_dataset(experiment: &Experiment) -> Result<(), Fault> {
+/// Refuses a dataset for the test that can't be simulated or is that for training, or that leaves no episodes for
+/// training.
+fn test_dataset(experiment: &Experiment, test: &TestDataset) -> Result<(), Fault> {
     let Experiment { split, simulation, scenarios, .. } = experiment;
     if split.by != Division::Episode || split.has_groups() {
         return fault(
@@ -761,16 +762,43 @@ fn test_dataset(experiment: &Experiment) -> Result<(), Fault> {
             ),
         );
     }
-    if let Some(imported) = scenarios.iter().find(|origin| experiment.world(origin).is_none()) {
+    if test.dataset.is_some() && (test.episodes, test.seed) != (TestDataset::default().episodes, 0) {
         return fault(
             "test",
-            format!(
-                "'{imported}' is imported, so no episodes can be simulated for its test; leave out 'test'"
-            ),
+            "an imported dataset has episodes of its own; leave out test.episodes and test.seed",
         );
     }
+    for origin in scenarios {
+        match (experiment.world(origin), &test.dataset) {
+            (None, None) => {
+                return fault(
+                    "test",
+                    format!(
+                        "'{origin}' is imported, so no episodes can be simulated for its test; name another imported \
+                         dataset as test.dataset, or leave out 'test'"
+                    ),
+                );
+            }
+            (Some(_), Some(_)) => {
+                return fault(
+                    "test.dataset",
+                    format!("'{origin}' is simulated, and so is its test; leave out test.dataset"),
+                );
+            }
+            (None, Some(name)) if name == origin.name() => {
+                return fault(
+                    "test.dataset",
+                    format!(
+                        "'{origin}' would be for training and for the test; name another dataset, or leave out 'test', \
+                         so that split.test says which of its episodes are for the test"
+                    ),
+                );
+            }
+            _ => {}
+        }
+    }
     let episodes = simulation.episodes as usize;
-    if split.counts(episodes, true).is_none() {
+    if test.dataset.is_none() && split.counts(episodes, true).is_none() {
         return fault(
             "simulation.episodes",
             format!(

@@ -3,6 +3,7 @@
 import fcntl
 import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -341,6 +342,44 @@ def test_episodes_shorter_than_the_window_are_told_or_refused(recordings, harnes
         assert f"{short}{unused}\n" in answer.stderr
     answer = harness("run", SPEC, *settings)
     assert answer.returncode == 0 and "shorter than" not in answer.stderr
+
+
+def test_another_import_can_be_the_test(recordings, harness, tmp_path):
+    load = {"from": "angles[0:2]", "unit": "N"}
+
+    def imported(name: str, **others) -> str:
+        (folder := tmp_path / name).mkdir()
+        own = {key: source for key, source in (ROBOT | {"load": load} | others).items() if source}
+        mapping = write_mapping(folder, recordings, own, **(TRIALS | {"name": name}))
+        return import_dataset(mapping, harness.results, progress=False)
+
+    monday, friday = imported("monday"), imported("friday")
+    run = ["run", SPEC, f"scenarios=[{monday}]", "input=[arm]", "output=[proprioception]", "tasks=[prediction]"]
+    answer = harness(*run, f"test.dataset={friday}")
+    assert answer.returncode == 0 and "1 done, 0 done before" in answer.stdout, answer.stderr
+    assert "1 done before" in harness(*run, f"test.dataset={friday}").stdout
+    (folder,) = harness.results.glob("runs/smoke/*/")
+    tested = pl.read_parquet(folder / "predictions.parquet").group_by("episode").agg(pl.n_unique("sample"))
+    assert tested.sort("episode").rows() == [(place, samples - 1) for place, samples in enumerate(LENGTHS)]
+    assert json.loads((folder / "run.json").read_text())["test_dataset"] == friday
+    for other, difference in [
+        (imported("blind", vision=None), "{} has no vision"),
+        (imported("warm", temperature=load), "{} also has temperature"),
+        (imported("single", load=load | {"from": "angles[0:1]"}), "load of {} has 1 value instead of 2"),
+        (imported("newton", load=load | {"unit": "kN"}), "element 0 of load of {} is '00' in 'kN' instead of '00' in 'N'"),
+    ]:
+        answer = harness(*run, f"test.dataset={other}")
+        said = f"{difference.format(other)}, so it can't be the test"
+        assert answer.returncode == 2 and said in answer.stderr, answer.stderr
+
+    copy = type(harness)(tmp_path / "copy")
+    answer = harness("publish", "smoke", "--complete", "--output", str(copy.results))
+    assert answer.returncode == 0 and copy("verify").returncode == 0, answer.stderr
+    assert sorted(path.name for path in (copy.results / "datasets").iterdir()) == sorted([monday, friday])
+    assert harness("verify").returncode == 0
+    shutil.rmtree(harness.results / "datasets" / friday)
+    answer = harness("verify")
+    assert answer.returncode == 1 and friday in answer.stdout and "import it again" in answer.stdout
 
 
 def test_a_damaged_or_lost_episode_is_found_and_not_trained_on(recordings, harness, tmp_path):
