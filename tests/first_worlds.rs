@@ -386,7 +386,9 @@ fn outcome(folder: &Path, model: &Path) -> &'static str {
     // Without a driver of OpenGL, nothing is rendered, which would take most of the time.
     let mut check = harness(folder, &["world", "check", &world, "--episodes", "1"]);
     let check = finish(check.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/none"));
-    assert_eq!(check.code, 0, "{}: {}", model.display(), check.stderr);
+    // Some test models of MuJoCo diverge while their setpoints stand still, which the check refuses.
+    let is_valid = check.code == 0 || check.stderr.contains(" diverged ");
+    assert!(is_valid, "{}: {}", model.display(), check.stderr);
     outcome
 }
 
