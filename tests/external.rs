@@ -106,7 +106,8 @@ fn commands_take_runs_of_external_models() {
         assert!(chosen.contains("model=my_gru") && chosen.contains("model=other"), "{setting}: {chosen}");
     }
     let plot = results.join("plot.svg").display().to_string();
-    let asked = ["plot", "smoke", "--x", "modality", "--by", "variant", "--facet", "scenario", "--metrics", "r2"];
+    let asked =
+        ["plot", "smoke", "--x", "modality", "--by", "variant", "--facet", "scenario", "--metrics", "r2"];
     succeed(&results, &[&asked[..], &["--output", &plot]].concat());
     let words = words_of(&std::fs::read_to_string(&plot).unwrap());
     assert!(

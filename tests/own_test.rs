@@ -100,7 +100,7 @@ fn runs_on_several_datasets_share_one_test() {
     // Persistence is the same on both datasets, so only the episodes vary, also in differences.
     let of_persistence = half("persistence", &["--metrics=mae"]);
     assert!(of_persistence.len() == 3 && of_persistence.iter().all(|half| *half > 0.0), "{of_persistence:?}");
-    let differences = half("network", &["--metrics=mae", "--difference-from", "persistence"]);
+    let differences = half("network", &["--metrics=mae", "--against", "persistence"]);
     assert!(differences.iter().all(|half| *half > 0.0), "{differences:?}");
 
     assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");

@@ -120,7 +120,7 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
     let missing = refused(&["--of", "vision"]);
     assert!(missing.contains("no run has these metrics for this task"), "{missing}");
     for (option, several, expected) in [
-        ("--metrics", "r2,rmse", "a plot shows one metric; choose one of r2, rmse with --metrics"),
+        ("--metrics", "rmse", "a plot shows one metric; choose one of r2, rmse with --metrics"),
         ("--horizon", "1,5", "no run predicts 5 samples ahead; the runs predict 1 sample ahead"),
         ("--horizon", "0.5s", "no run predicts 0.5 s ahead"),
         ("--models", "network,", "a list has no spaces and no comma at its end"),

@@ -733,10 +733,7 @@ fn the_tables_and_courses_of_any_robot_are_those_of_queries() {
         column.f64().unwrap().iter().flatten().collect()
     };
     let rows = between(page, "<section id=\"metrics\">", "</section>");
-    assert!(
-        rows.contains("<th scope=\"col\">latent 2</th><th scope=\"col\">latent 4</th>"),
-        "{rows}"
-    );
+    assert!(rows.contains("<th scope=\"col\">latent 2</th><th scope=\"col\">latent 4</th>"), "{rows}");
     for baseline in ["persistence", "ridge", "training mean"] {
         assert!(rows.contains(&format!("<th scope=\"col\">{baseline}</th>")), "{baseline}");
     }

@@ -147,7 +147,16 @@ fn one_version_of_a_world_counts_in_every_reader() {
     );
     assert!(note.contains("gc --only world"), "{note}");
 
-    two.say(&["plot", "rod", "--x", "simulation.episodes", "--metrics", "rmse", "--output", &path("plot.csv")]);
+    two.say(&[
+        "plot",
+        "rod",
+        "--x",
+        "simulation.episodes",
+        "--metrics",
+        "rmse",
+        "--output",
+        &path("plot.csv"),
+    ]);
     let plotted = fs::read_to_string(path("plot.csv")).unwrap();
     assert_eq!(plotted.lines().count(), 2, "{plotted}");
     two.say(&["publish", "rod", "--output", &path("published")]);

@@ -61,6 +61,7 @@ impl Answer {
         let seconds = |samples: usize| self.sample_rate_hz.map(|rate| samples as f64 / rate);
         match horizons.iter().collect::<Vec<_>>()[..] {
             [] => None,
+            [0] => Some("estimates of the present sample".to_owned()),
             [1] => Some("predictions of the next sample".to_owned()),
             [samples] => {
                 let time = seconds(*samples).map(|time| format!(" ({} s)", number(time))).unwrap_or_default();
@@ -72,7 +73,8 @@ impl Answer {
 
     /// The horizons of predictions, in samples.
     fn horizons(&self) -> impl Iterator<Item = usize> {
-        self.cells.iter().filter_map(|cell| cell.of.horizon).filter(|samples| *samples > 0)
+        let predictions = self.cells.iter().filter(|cell| cell.of.task == Task::Prediction);
+        predictions.filter_map(|cell| cell.of.horizon)
     }
 
     /// Sentences about what the cells are, and then the notes.

@@ -35,8 +35,8 @@ pub use interval::{
 };
 pub use key::Key;
 pub use labels::{Label, Labels};
-use means::{note_about_shared_test, predicted};
 pub use means::{Mean, Of, replicates_of};
+use means::{note_about_shared_test, predicted};
 pub use question::{Horizon, Question};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
 pub use subset::Subset;

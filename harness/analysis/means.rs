@@ -356,14 +356,19 @@ impl Analysis {
                 let (own, seeds) = (group(run), (run.record.spec.dataset_seed(), run.record.spec.seed));
                 let of_baselines = number(Of { latent: None, ..own.clone() });
                 let test = run.record.test_dataset.as_ref();
-                ((&*run.record.experiment, &*run.record.run), (place, [of_baselines, number(own)], seeds, test))
+                (
+                    (&*run.record.experiment, &*run.record.run),
+                    (place, [of_baselines, number(own)], seeds, test),
+                )
             })
             .collect();
         let mut by_row: HashMap<_, Values> = HashMap::new();
         let mut repeated = HashSet::new();
         for row in all {
             let Some(value) = row.value else { continue };
-            let Some(&(place, groups, seeds, test)) = places.get(&(row.experiment, row.run)) else { continue };
+            let Some(&(place, groups, seeds, test)) = places.get(&(row.experiment, row.run)) else {
+                continue;
+            };
             let is_network = !is_baseline(row.model);
             let group = groups[usize::from(is_network)];
             let key = (group, row.task, row.model, row.modality, row.direction, row.metric, row.horizon);

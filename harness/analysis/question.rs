@@ -40,10 +40,9 @@ impl FromStr for Horizon {
             Some(seconds) => {
                 seconds.parse().ok().filter(|time| *time > 0.0 && *time < 1e9).map(Self::Seconds)
             }
-            None => text.parse().ok().filter(|samples| *samples > 0).map(Self::Samples),
+            None => text.parse().ok().map(Self::Samples),
         };
-        horizon
-            .ok_or_else(|| "write a number of samples, at least 1, or a time in seconds, such as 0.5s".into())
+        horizon.ok_or_else(|| "write a number of samples, or a time in seconds, such as 0.5s".into())
     }
 }
 
@@ -134,7 +133,10 @@ impl Question {
         }
         self.check_names(analysis, &means)?;
         let metrics = self.chosen_metrics(&means);
-        let undefined = undefined.sentences(|metric| metrics.iter().any(|name| name == metric));
+        let is_usual =
+            |metric: &str| self.metrics.is_empty() && USUAL.iter().any(|usual| usual.name() == metric);
+        let undefined =
+            undefined.sentences(|metric| is_usual(metric) || metrics.iter().any(|name| name == metric));
         means.retain(|mean| metrics.contains(&mean.of.metric) && self.wants(mean));
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
@@ -254,7 +256,7 @@ impl Question {
             runs.map(|run| ((&*run.experiment, &*run.run), self.horizons_of(&run.spec))).collect();
         rows.retain(|row| match row.horizon {
             None => true,
-            Some(0) => self.horizons.is_empty(),
+            Some(0) if row.task == Task::Reconstruction => self.horizons.is_empty(),
             Some(samples) => wanted.get(&(row.experiment, row.run)).is_some_and(|own| own.contains(&samples)),
         });
         Ok(rows)

@@ -15,11 +15,8 @@ pub(super) fn skills<'a>(rows: &[Row<'a>]) -> Vec<Row<'a>> {
     let errors = || rows.iter().filter(|row| row.metric == Metric::Rmse.name());
     let key = |row: &Row<'a>| (row.experiment, row.run, row.task, row.modality, row.direction, row.horizon);
     let relative = [Metric::R2, Metric::RelativeError].map(Metric::name);
-    let varying: HashSet<_> = rows
-        .iter()
-        .filter(|row| relative.contains(&row.metric) && row.value.is_some())
-        .map(key)
-        .collect();
+    let varying: HashSet<_> =
+        rows.iter().filter(|row| relative.contains(&row.metric) && row.value.is_some()).map(key).collect();
     let persistence: HashMap<_, f64> = errors()
         .filter(|row| row.model == PERSISTENCE && varying.contains(&key(row)))
         .filter_map(|row| Some((key(row), row.value?)))

@@ -1,7 +1,7 @@
 //! What may be wrong with a recording as the data of an experiment.
 
 use super::ExperimentError;
-use harness_dataset::Imported;
+use harness_dataset::{AnyDataset, Imported};
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
 use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
@@ -29,7 +29,8 @@ const OFTEN: f64 = 0.05;
 /// # Errors
 /// When the dataset can't be read.
 pub fn recording_notes(datasets: &Path, name: &str) -> Result<(String, Vec<String>), ExperimentError> {
-    let samples = Imported::open(datasets, name)?.load(FramePlace::Nowhere, &Silent)?;
+    let dataset = AnyDataset::Imported(Imported::open(datasets, name)?);
+    let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
     let vectors = samples.layout().stored_vectors().map(|definition| definition.name);
     let output: Vec<Modality> = vectors.filter(|name| name.is_sensed()).collect();
     let (split, window) = (samples.labels().split(&Split::default()), Window::TRANSITION);

@@ -379,7 +379,7 @@ fn name_of(key: Key) -> &'static str {
 fn is_every_value(key: Key, of: &Of) -> bool {
     match key {
         Key::Latent => of.latent.is_none(),
-        Key::Horizon => of.horizon.is_none_or(|samples| samples == 0),
+        Key::Horizon => of.horizon.is_none() || of.task == Task::Reconstruction,
         _ => false,
     }
 }

@@ -365,7 +365,7 @@ pub fn is_axis(name: &str) -> bool {
 
 /// Returns the dotted key of the setting that may vary and has this name: its key, or its key without its section, if
 /// no other setting has the same. `None` if there is none. The settings of outputs have the keys that runs store, and
-/// those of the test only whole keys, because those of the simulation have the same names.
+/// those of the test and `split.seed` only whole keys, because those of the simulation have the same names.
 pub fn varied_setting(name: &str) -> Option<String> {
     if let Some(stored) = stored_key(name) {
         return is_setting(name).then_some(stored);
@@ -375,7 +375,8 @@ pub fn varied_setting(name: &str) -> Option<String> {
     }
     let names = setting_names();
     let ending = format!(".{name}");
-    let is_it = |key: &&String| varies(key) && key.ends_with(&ending) && !key.starts_with("test.");
+    let is_whole_only = |key: &str| key.starts_with("test.") || key == "split.seed";
+    let is_it = |key: &&String| varies(key) && key.ends_with(&ending) && !is_whole_only(key);
     let mut found = names.iter().filter(is_it);
     found.next().filter(|_| found.next().is_none()).cloned()
 }

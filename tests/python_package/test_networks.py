@@ -449,9 +449,8 @@ def channels_first(values: Arrays) -> Arrays:
 
 
 def test_a_file_says_everything_about_its_tensors(trained: Trained) -> None:
-    for task, path, text in harness._harness.networks(trained.run, trained.results):
+    for task, path in harness._harness.networks(trained.run, trained.results):
         description, tensors = read_file(path)
-        assert description == json.loads(text)
         changes = any("change" in quantity for quantity in description["outputs"])
         assert (description["format"], description["task"]) == (3 if changes else 1, task)
         layers = [*description.get("encoder", []), *description["decoder"]]
