@@ -93,9 +93,11 @@ impl JsonSchema for Division {
             ),
         ];
         let names: Vec<&str> = Self::ALL.iter().map(|division| division.name()).collect();
+        // None of the names, so that each fits one choice only.
+        let pattern = format!("^(?!({})$)[a-z][a-z0-9_]{{0,63}}$", names.join("|"));
         let label = json_schema!({
             "description": "The episodes with one value of this label of an imported dataset.",
-            "type": "string", "pattern": "^[a-z][a-z0-9_]{0,63}$", "not": { "enum": names },
+            "type": "string", "pattern": pattern,
         });
         let choices: Vec<Schema> = choices.map(choice).into_iter().chain([label]).collect();
         json_schema!({ "description": "The unit that a split divides.", "oneOf": choices })

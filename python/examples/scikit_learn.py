@@ -18,7 +18,7 @@ import harness
 
 MODELS = {
     "random_forest": lambda seed: RandomForestRegressor(max_features="sqrt", min_samples_leaf=2, random_state=seed),
-    "nearest_neighbors": lambda seed: make_pipeline(StandardScaler(), KNeighborsRegressor(10, weights="distance")),
+    "k_nearest_neighbors": lambda seed: make_pipeline(StandardScaler(), KNeighborsRegressor(10, weights="distance")),
     "mlp": lambda seed: make_pipeline(
         StandardScaler(), MLPRegressor(hidden_layer_sizes=(128, 128), early_stopping=True, random_state=seed)
     ),

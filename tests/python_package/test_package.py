@@ -799,6 +799,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     # returns a capsule.
     left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
     left_out |= {"Dataset.__reduce__", "Model.__reduce__", "Task.__new__"}
+    left_out |= {"recording_notes"}  # of an imported dataset; tests/interchange calls it
     for name in sorted(functions.keys() - left_out):
         stub = functions[name]
         if [ast.unparse(decorator) for decorator in stub.decorator_list] == ["property"]:

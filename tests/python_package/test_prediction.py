@@ -447,7 +447,7 @@ def test_a_killed_submission_leaves_nothing(copy: Path) -> None:
 def test_the_example_for_scikit_learn_works(copy: Path) -> None:
     check_example("scikit_learn", ["proprioception", "arm", "vision"], copy)
     models = set(harness.query("select distinct architecture from runs", copy)["architecture"])
-    assert models == {"multi_to_multi", "random_forest", "nearest_neighbors", "mlp"}
+    assert models == {"multi_to_multi", "random_forest", "k_nearest_neighbors", "mlp"}
 
 
 def within(reference: np.ndarray, predicted: np.ndarray) -> float:

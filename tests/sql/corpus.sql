@@ -1720,7 +1720,7 @@ select row_number() from runs
 -- refuse: a misspelled table | there is no table 'metric'; did you mean 'metrics'? There are runs, epochs
 select * from metric
 
--- refuse: an unknown table | there is no table 'nope'; there are runs, epochs, metrics, all_metrics, predictions, all_predictions, forces, frames, episodes
+-- refuse: an unknown table | there is no table 'nope'; there are runs, epochs, metrics, all_metrics, sums, predictions, all_predictions, forces, frames, episodes
 select * from nope
 
 -- refuse: a misspelled column | there is no column 'valeu'; did you mean 'value'?
