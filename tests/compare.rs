@@ -415,7 +415,7 @@ fn check_renderings(questions: usize) {
         }
         answered += 1;
         let means: Vec<Value> = serde_json::from_str(&json.stdout).unwrap();
-        let expected: BTreeSet<String> = means.iter().map(|mean| cell(mean)).collect();
+        let expected: BTreeSet<String> = means.iter().map(cell).collect();
         let text = printed("markdown").stdout;
         let (header, rows) = markdown(&text);
         assert_eq!(numbers(&header, &rows), expected, "{question:?}: {text}");

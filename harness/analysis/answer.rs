@@ -340,7 +340,7 @@ impl<'a> Comparison<'a> {
             task: of.task,
             place: Place {
                 variant: variants_are_rows.then(|| labels.variant(model_parts(&of.variant).0)),
-                ..Place::of(of, labels, &tells_apart)
+                ..Place::of(of, labels, tells_apart)
             },
             modality: of.modality,
             direction: of.direction.clone(),
