@@ -33,7 +33,7 @@ package:
 		--quiet --disable-pip-version-check --no-build-isolation --no-deps .
 
 python: package ## build the Python package into .venv and test it
-	.venv/bin/python -m pytest --quiet tests/python_package
+	.venv/bin/python -m pytest --quiet --numprocesses auto --maxprocesses 4 tests/python_package
 
 docs: package ## build the documentation site in target/docs; broken links are errors
 	@setup/setup.sh --docs
