@@ -107,8 +107,8 @@ impl Of {
 }
 
 impl Mean {
-    /// The mean of some values; `None` without values.
-    fn new(of: Of, unit: String, replicates: Vec<Replicate>) -> Option<Self> {
+    /// The mean of some values, with an interval for `over`; `None` without values.
+    fn new(of: Of, unit: String, replicates: Vec<Replicate>, over: Over) -> Option<Self> {
         let values: Vec<f64> = replicates.iter().map(|replicate| replicate.value).collect();
         let seeds: Vec<(u64, u64)> = replicates.iter().map(|replicate| replicate.seeds).collect();
         let tests: BTreeSet<&Option<String>> = replicates.iter().map(|replicate| &replicate.test).collect();
@@ -116,7 +116,7 @@ impl Mean {
         let jackknives: Option<Vec<_>> =
             replicates.iter().map(|replicate| replicate.jackknife.clone()).collect();
         let test = is_shared.then(|| jackknives.unwrap_or_default());
-        Self::of_values(of, unit, values, seeds, test, Over::Mean)
+        Self::of_values(of, unit, values, seeds, test, over)
     }
 
     /// The mean of values with the seeds of their dataset and training; `None` without values.
@@ -131,7 +131,7 @@ impl Mean {
         let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
         let interval = Interval { mean: 0.0, bounds: None };
         let mean = Self { of, unit, values, seeds, datasets, interval, over, against: None, p: None, test };
-        (datasets > 0).then(|| mean.with_interval(over))
+        Some(Self { interval: mean.interval_of(&mean.estimate()?), ..mean })
     }
 
     /// The seed of the dataset of each value.
@@ -155,19 +155,16 @@ impl Mean {
         self.jackknife().map(|jackknife| jackknife.episodes())
     }
 
-    /// Returns the mean with another interval. One dataset says nothing about the next, so its mean has no bounds then.
-    pub(super) fn with_interval(self, over: Over) -> Self {
-        let mean = Self { over, ..self };
-        let Some(estimate) = mean.estimate() else { return mean };
-        let interval = match (over, mean.jackknife()) {
+    /// The interval of an estimate of this mean. One dataset says nothing about the next, so there are no bounds then.
+    fn interval_of(&self, estimate: &Estimate) -> Interval {
+        match (self.over, self.jackknife()) {
             (Over::Mean, None) => estimate.interval(LEVEL),
             (Over::Mean, Some(jackknife)) => estimate.interval_with_episodes(&jackknife, LEVEL),
-            (Over::NextDataset, _) if mean.datasets < 2 => {
+            (Over::NextDataset, _) if self.datasets < 2 => {
                 Interval { bounds: None, ..estimate.interval(LEVEL) }
             }
             (Over::NextDataset, _) => estimate.prediction(LEVEL),
-        };
-        Self { interval, ..mean }
+        }
     }
 
     /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
@@ -312,14 +309,19 @@ impl Analysis {
         samples().map_err(QueryError::Sql)
     }
 
-    /// The means of the values in `all`, told apart by the settings among `keys`.
+    /// The means of the values in `all`, told apart by the settings among `keys`, with intervals for `over`.
     ///
     /// With settings among the keys, the variant is empty except for the name of an external model, unless it is a key
     /// too. What else the runs of an experiment differ in is in the other settings.
     ///
     /// # Errors
     /// When a table is damaged.
-    pub(super) fn means_of(&self, all: &[Row<'_>], keys: &[Key]) -> Result<Vec<Mean>, QueryError> {
+    pub(super) fn means_of(
+        &self,
+        all: &[Row<'_>],
+        keys: &[Key],
+        over: Over,
+    ) -> Result<Vec<Mean>, QueryError> {
         let jackknives = Jackknives::read(self, all)?;
         let asked: Vec<&'static str> = keys.iter().copied().filter_map(Key::setting).collect();
         let has_variants = asked.is_empty() || keys.contains(&Key::Variant);
@@ -396,7 +398,7 @@ impl Analysis {
                 let mut datasets = BTreeSet::new();
                 values.retain(|value| datasets.insert(value.seeds.0));
             }
-            Mean::new(of, unit, values)
+            Mean::new(of, unit, values, over)
         };
         Ok(over_most_datasets(found.into_iter().filter_map(mean).collect()))
     }

@@ -10,6 +10,7 @@ use harness_metrics::Metric;
 use harness_registry::Registry;
 use harness_shared::numbers::counted;
 use harness_spec::{Modality, RunSpec, Task, model_parts};
+use harness_sql::text_in_sql;
 use harness_tables::schema::{GIVEN, HORIZON, Table};
 use polars::prelude::DataFrame;
 use serde::Deserialize;
@@ -123,27 +124,26 @@ impl Question {
         let table = self.read(analysis)?;
         let mut rows = self.rows(analysis, &table)?;
         rows.extend(skills(&rows));
-        let (mut means, undefined) =
-            (analysis.means_of(&rows, &self.by)?, undefined(analysis, &rows, &self.of));
+        let undefined = undefined(analysis, &rows, &self.of);
+        let mut means = analysis.means_of(&rows, &self.by, self.over)?;
         if self.asks_for(Metric::SkillHorizon) {
             let errors = self.with_all_horizons();
             let table = errors.read(analysis)?;
             let rows = errors.rows(analysis, &table)?;
-            means.extend(analysis.means_of(&skill_horizons(&skills(&rows)), &self.by)?);
+            means.extend(analysis.means_of(&skill_horizons(&skills(&rows)), &self.by, self.over)?);
         }
         self.check_names(analysis, &means)?;
         let metrics = self.chosen_metrics(&means);
-        let is_usual =
-            |metric: &str| self.metrics.is_empty() && USUAL.iter().any(|usual| usual.name() == metric);
-        let undefined =
-            undefined.sentences(|metric| is_usual(metric) || metrics.iter().any(|name| name == metric));
+        let undefined = undefined.sentences(|name| match self.metrics.as_slice() {
+            [] => USUAL.iter().any(|metric| metric.name() == name),
+            asked => asked.iter().any(|metric| metric == name),
+        });
         means.retain(|mean| metrics.contains(&mean.of.metric) && self.wants(mean));
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
             return Err(AnalysisError::NoMeans { reasons: undefined, list: analysis.registry.command(list) });
         }
-        let cells: Vec<Mean> = means.into_iter().map(|mean| mean.with_interval(self.over)).collect();
-        let by = if self.by.is_empty() { vec![usual_key(&cells)] } else { self.by.clone() };
+        let by = if self.by.is_empty() { vec![usual_key(&means)] } else { self.by.clone() };
         let notes = undefined.into_iter().chain(analysis.notes().iter().cloned()).collect();
         let mut answer = Answer {
             by,
@@ -151,7 +151,7 @@ impl Question {
             labels: Labels::new(analysis, &self.by),
             sample_rate_hz: analysis.sample_rate_hz(),
             against: None,
-            cells,
+            cells: means,
             notes,
         };
         if let Some(base) = &self.against {
@@ -220,7 +220,7 @@ impl Question {
             conditions.push(match &self.given {
                 None => format!("{GIVEN} is null"),
                 Some(given) => {
-                    format!("({GIVEN} = '{}' or model in ({}))", quoted(given), baselines_in_sql())
+                    format!("({GIVEN} = {} or model in ({}))", text_in_sql(given), baselines_in_sql())
                 }
             });
         }
@@ -277,7 +277,7 @@ impl Question {
                 .chain([Metric::Rmse, Metric::R2, Metric::RelativeError, Metric::Wmape].map(Metric::name))
                 .collect(),
         };
-        names.iter().map(|name| format!("'{}'", quoted(name))).collect::<Vec<_>>().join(", ")
+        names.into_iter().map(text_in_sql).collect::<Vec<_>>().join(", ")
     }
 
     /// Returns an error if a horizon is asked for at which no run predicts.
@@ -369,9 +369,4 @@ fn there(analysis: &Analysis) -> Result<Vec<There>, QueryError> {
     let experiments: Vec<&str> = analysis.experiments().collect();
     let sql = format!("select distinct metric, modality, direction from metrics where {OVERALL}");
     rows(&mut analysis.query(&experiments, &sql)?)
-}
-
-/// A text of SQL without its quotes.
-fn quoted(text: &str) -> String {
-    text.replace('\'', "''")
 }

@@ -48,7 +48,7 @@ pub struct Asked {
     #[arg(long, value_name = "MODEL", value_delimiter = ',', value_parser = item)]
     models: Vec<String>,
     /// Only this task [default: both in a table, prediction in a plot]
-    #[arg(long, value_parser = task())]
+    #[arg(long, value_parser = named(Task::ALL, Task::name))]
     task: Option<Task>,
     /// How far ahead the predictions are: numbers of samples, as 5, or times, as 0.5s, separated by commas [default:
     /// `window.horizon` of each run's spec, or all horizons if they are a key of the answer]
@@ -71,10 +71,10 @@ pub struct Asked {
     #[arg(
         long,
         value_name = "OVER",
-        value_parser = PossibleValuesParser::new(Over::ALL.map(Over::name)),
+        value_parser = named(Over::ALL, Over::name),
         default_value = Over::Mean.name()
     )]
-    interval: String,
+    interval: Over,
     #[command(flatten)]
     runs: Where,
 }
@@ -93,15 +93,19 @@ impl Asked {
             given: self.given.map(|given| given.replace('+', ",")),
             by: self.by,
             against: self.against,
-            over: Over::ALL.into_iter().find(|over| over.name() == self.interval).unwrap_or_default(),
+            over: self.interval,
         }
     }
 }
 
-/// A parser for names of tasks, whose error lists all names.
-fn task() -> impl TypedValueParser<Value = Task> {
-    PossibleValuesParser::new(Task::ALL.iter().map(|task| task.name()))
-        .try_map(|name| Task::ALL.iter().copied().find(|task| task.name() == name).ok_or("no such task"))
+/// A parser for the names of some values, whose error lists all names.
+fn named<T: Copy + Send + Sync + 'static>(
+    all: impl AsRef<[T]>,
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let all = all.as_ref().to_vec();
+    PossibleValuesParser::new(all.iter().map(|one| name(*one)).collect::<Vec<_>>())
+        .try_map(move |text| all.iter().copied().find(|one| name(*one) == text).ok_or("no such name"))
 }
 
 /// A parser for names of keys, whose error lists them, and for the keys of settings.
@@ -112,7 +116,7 @@ pub fn key() -> impl TypedValueParser<Value = Key> {
 #[derive(Clone)]
 struct KeyParser;
 
-fn named() -> impl Iterator<Item = PossibleValue> {
+fn keys() -> impl Iterator<Item = PossibleValue> {
     Key::ALL.iter().map(|key| PossibleValue::new(key.name()).help(key.meaning()))
 }
 
@@ -121,7 +125,7 @@ impl TypedValueParser for KeyParser {
 
     fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Key, clap::Error> {
         let key = value.to_str().and_then(|text| text.parse::<Key>().ok());
-        let named = PossibleValuesParser::new(named()).try_map(|name| name.parse());
+        let named = PossibleValuesParser::new(keys()).try_map(|name| name.parse());
         if let Some(key) = key.filter(|key| key.setting().is_some()) {
             return Ok(key);
         }
@@ -134,6 +138,6 @@ impl TypedValueParser for KeyParser {
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
-        Some(Box::new(named()))
+        Some(Box::new(keys()))
     }
 }

@@ -15,6 +15,7 @@ use harness::registry::{Registry, RunFolder, RunRecord, quoted};
 use harness::schema::{Column, Table, sample_columns};
 use harness::simulation::Scene;
 use harness::spec::{Scenario, World, mapping_schema};
+use harness::sql::text_in_sql;
 use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -79,7 +80,7 @@ impl List {
         }
         let mut recorded = registry.recorded();
         check_started(recorded.iter().map(|(_, record)| record), registry, &self.experiments)?;
-        let text = |text: &String| format!("'{}'", text.replace('\'', "''"));
+        let text = |text: &String| text_in_sql(text);
         let mut conditions = Vec::new();
         if !self.experiments.is_empty() {
             let names: Vec<String> = self.experiments.iter().map(text).collect();

@@ -25,6 +25,11 @@ mod window;
 
 pub use condition::{Condition, Terms, implies};
 
+/// Returns a text as SQL has it, in single quotes.
+pub fn text_in_sql(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "''"))
+}
+
 use plan::Planner;
 use polars::prelude::*;
 use scope::{Ctes, Type, choice, same};
