@@ -111,7 +111,7 @@ impl Imported {
     /// When the episodes can't be divided so. Returns the message.
     pub fn parts(&self, split: &Split) -> Result<Vec<Part>, String> {
         let labels = self.labels();
-        labels.parts(&labels.split(split), &self.content.samples().collect::<Vec<_>>())
+        labels.parts(&labels.split(split), &self.content.samples().collect::<Vec<_>>(), false)
     }
 
     /// Returns the number of episodes.

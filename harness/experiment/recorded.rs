@@ -49,7 +49,7 @@ fn divided(samples: &Samples, split: &Split) -> Option<String> {
         return None;
     }
     let (labels, lengths) = (samples.labels(), lengths(samples));
-    let parts = labels.parts(split, &lengths).ok()?;
+    let parts = labels.parts(split, &lengths, false).ok()?;
     let values = labels.values(split.by, lengths.len()).ok()?;
     let of = |wanted: Part| {
         let own =
@@ -86,12 +86,12 @@ pub(super) fn notes(
     let mut notes = setpoint_notes(samples, output, partition)?;
     notes.extend(used.iter().filter_map(|modality| beyond_range(samples, *modality, partition)));
     // The labels are those of the dataset, and not of one that the test has for itself.
-    let is_whole = samples.own_episodes().len() == samples.episodes().len();
-    if is_whole {
+    let has_own_test = samples.has_own_test();
+    if !has_own_test {
         notes.extend(missing_groups(samples, split));
     }
     let trials = samples.labels().values(Division::Label("trial"), samples.own_episodes().len());
-    if is_whole
+    if !has_own_test
         && let Ok([first, others @ ..]) = trials.as_deref()
         && others.iter().all(|trial| trial == first)
     {
@@ -144,7 +144,7 @@ fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) ->
 /// Says which values of a label are in the test only. Texts count, without those that name a single episode.
 fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
     let (labels, lengths) = (samples.labels(), lengths(samples));
-    let Ok(parts) = labels.parts(split, &lengths) else { return Vec::new() };
+    let Ok(parts) = labels.parts(split, &lengths, false) else { return Vec::new() };
     if !split.by.keeps_episodes() {
         return Vec::new();
     }

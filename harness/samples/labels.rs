@@ -45,13 +45,14 @@ impl Labels {
         self.episodes.iter().enumerate().map(value).collect()
     }
 
-    /// Returns the part of each episode in a split that keeps them whole, given their numbers of samples.
+    /// Returns the part of each episode in a split that keeps them whole, given their numbers of samples. None is for
+    /// the test if it has a dataset of its own.
     ///
     /// # Errors
     /// When the episodes can't be divided so. Returns the message.
-    pub fn parts(&self, split: &Split, samples: &[usize]) -> Result<Vec<Part>, String> {
+    pub fn parts(&self, split: &Split, samples: &[usize], has_own_test: bool) -> Result<Vec<Part>, String> {
         if split.by == Division::Episode && !split.has_groups() {
-            let counts = split.counts(samples.len(), false).ok_or("there are too few episodes")?;
+            let counts = split.counts(samples.len(), has_own_test).ok_or("there are too few episodes")?;
             let parts = [(Part::Training, counts.training), (Part::Validation, counts.validation)];
             let before_test = parts.into_iter().flat_map(|(part, count)| std::iter::repeat_n(part, count));
             return Ok(before_test.chain(std::iter::repeat(Part::Test)).take(samples.len()).collect());

@@ -142,15 +142,17 @@ impl Samples {
     /// Returns the split of these samples if a spec has this one: the recording's own if the spec leaves it open, unless
     /// the test has a dataset of its own.
     pub fn split(&self, given: &Split) -> Split {
-        match self.before_test {
-            Some(_) => given.clone(),
-            None => self.labels.split(given),
-        }
+        if self.has_own_test() { given.clone() } else { self.labels.split(given) }
     }
 
     /// Declares that all further episodes are those of a dataset of its own for the test.
     pub fn begin_test(&mut self) {
         self.before_test = Some(self.episodes.len());
+    }
+
+    /// Whether the test has a dataset of its own.
+    pub fn has_own_test(&self) -> bool {
+        self.before_test.is_some()
     }
 
     /// Returns the range of each episode's samples, without the episodes of a dataset of its own for the test.

@@ -6,6 +6,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
+use std::iter::repeat;
 use std::ops::Range;
 
 /// A sample of a dataset, by its position among the samples of all episodes.
@@ -108,8 +109,7 @@ impl Samples {
     pub fn partition(&self, split: &Split, window: &Window) -> Option<Partition> {
         let split = &self.split(split);
         let partition = match split.by {
-            Division::Episode if !split.has_groups() => self.partition_by_episode(split, window),
-            Division::Episode | Division::Label(_) => self.partition_by_group(split, window),
+            Division::Episode | Division::Label(_) => self.partition_by_episode(split, window),
             Division::Time => self.partition_by_time(split, window),
             Division::Sample => self.partition_by_sample(split, window),
         }?;
@@ -120,30 +120,17 @@ impl Samples {
         are_whole.then_some(partition)
     }
 
-    /// The last episodes are for the test, those before them for validation, and the rest for training. If the test has
-    /// a dataset of its own, all episodes of that dataset are for the test.
+    /// The episodes of each group are in one part. Without groups, the last episodes are for the test, those before them
+    /// for validation, and the rest for training. If the test has a dataset of its own, all episodes of that dataset are
+    /// for the test, and no others.
     ///
     /// Episodes are independent and have the same distribution, so their order does not matter. Splitting by episode
     /// keeps the neighbors of a test sample out of the training data.
     fn partition_by_episode(&self, split: &Split, window: &Window) -> Option<Partition> {
-        let own = self.own_episodes().len();
-        let counts = split.counts(own, own < self.episodes().len())?;
-        let all = |episodes: &[Range<usize>], window: Window| {
-            episodes.iter().flat_map(|range| within(&window, range)).collect()
-        };
-        let (training, others) = self.episodes().split_at(counts.training);
-        let (validation, test) = others.split_at(counts.validation);
-        Some(Partition {
-            training: all(training, window.of_one_sample()),
-            validation: all(validation, window.of_one_sample()),
-            test: all(test, window.judged()),
-        })
-    }
-
-    /// The episodes of each group are in one part.
-    fn partition_by_group(&self, split: &Split, window: &Window) -> Option<Partition> {
-        let lengths: Vec<usize> = self.episodes().iter().map(Range::len).collect();
-        let parts = self.labels().parts(split, &lengths).ok()?;
+        let own: Vec<usize> = self.own_episodes().iter().map(Range::len).collect();
+        let parts = self.labels().parts(split, &own, self.has_own_test()).ok()?;
+        let parts: Vec<Part> =
+            parts.into_iter().chain(repeat(Part::Test)).take(self.episodes().len()).collect();
         let of = |wanted: Part, window: Window| {
             let all = self.episodes().iter().zip(&parts).filter(|(_, part)| **part == wanted);
             all.flat_map(|(range, _)| within(&window, range)).collect()
