@@ -469,11 +469,10 @@ impl Writer<'_> {
 
     /// Adds a node that takes columns or channels of a value of the decoder.
     fn columns(&mut self, name: String, value: &str, start: usize, count: usize) -> String {
-        let start_and_end = [("start", start), ("end", start + count)]
-            .map(|(end, at)| self.numbers(format!("{name}.{end}"), &[at]));
+        let first = self.numbers(format!("{name}.start"), &[start]);
+        let end = self.numbers(format!("{name}.end"), &[start + count]);
         let axis = self.numbers(format!("{name}.axis"), &[1]);
-        let [start, end] = start_and_end;
-        self.node("Slice", &[in_part("decoder", value), start, end, axis], name, Vec::new())
+        self.node("Slice", &[in_part("decoder", value), first, end, axis], name, Vec::new())
     }
 
     /// Declares the parameters of a distribution as outputs, and returns the value of the mean. `value` is the value of

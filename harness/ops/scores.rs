@@ -19,9 +19,8 @@ pub fn softplus(x: &Tensor) -> Result<Tensor> {
 /// When candle can't compute an operation.
 pub fn gaussian_crps(mean: &Tensor, scale: &Tensor, target: &Tensor) -> Result<Tensor> {
     let z = ((target - mean)? / scale)?;
-    // 2 Φ(z) - 1, and 2 φ(z).
-    let central = (&z * FRAC_1_SQRT_2)?.erf()?;
-    let density = ((z.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt())?;
+    let central = (&z * FRAC_1_SQRT_2)?.erf()?; // 2 Φ(z) - 1
+    let density = twice_density(&z)?;
     scale * (((z * central)? + density)? - PI.sqrt().recip())?
 }
 
@@ -43,7 +42,7 @@ pub fn truncated_gaussian_crps(
     let at = |x: &Tensor, factor: f64| (x * factor)?.erf()? + 1.0;
     let (twice, left, wider) =
         (at(&z, FRAC_1_SQRT_2)?, (at(&above, FRAC_1_SQRT_2)? * 0.5)?, at(&above, 1.0)?);
-    let density = ((z.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt())?;
+    let density = twice_density(&z)?;
     let first = (z * ((twice + &left)? - 2.0)?)?;
     let score = (((first + density)? * &left)? - (wider * (0.5 / PI.sqrt()))?)?;
     scale * (score / left.sqr()?)?
@@ -57,8 +56,13 @@ pub fn truncated_gaussian_crps(
 pub fn truncated_gaussian_mean(mean: &Tensor, scale: &Tensor, least: &Tensor) -> Result<Tensor> {
     let above = (mean.broadcast_sub(least)? / scale)?;
     let left = ((&above * FRAC_1_SQRT_2)?.erf()? + 1.0)?;
-    let density = ((above.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt())?;
+    let density = twice_density(&above)?;
     mean + (scale * (density / left)?)?
+}
+
+/// Twice the density of the standard normal distribution.
+fn twice_density(z: &Tensor) -> Result<Tensor> {
+    (z.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt()
 }
 
 /// Returns the cross-entropy of an event that occurs (1) or not (0), in nats. Its probability is 1 / (1 + e^-x), with
