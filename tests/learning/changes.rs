@@ -42,17 +42,61 @@ pub(super) fn trained<'a>(
     TrainedNetwork { data, network, input: &BOTH, output: &BOTH, window, draws: 0, seed: 0 }
 }
 
-/// What is predicted of a modality at each horizon.
-fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Vec<f32>> {
+/// What `pick` returns of the predictions of a modality, at each horizon.
+pub(super) fn received<T>(
+    predictor: &dyn Predictor,
+    at: &[Sample],
+    of: Modality,
+    pick: impl Fn(&Predicted) -> T,
+) -> BTreeMap<usize, T> {
     let mut found = BTreeMap::new();
-    let mut receive = |Predicted { modality, horizon, values, .. }: &Predicted| {
-        if *modality == of {
-            found.insert(*horizon, values.clone());
+    let mut receive = |prediction: &Predicted| {
+        if prediction.modality == of {
+            found.insert(prediction.horizon, pick(prediction));
         }
         Ok(())
     };
     predictor.predict(at, &mut receive).unwrap();
     found
+}
+
+/// What is predicted of a modality at each horizon.
+fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Vec<f32>> {
+    received(predictor, at, of, |prediction| prediction.values.clone())
+}
+
+/// The loss of the arm on one window, in which a network with memory sees each sample once, and the mean of the scores
+/// of all predictions in it. `score` returns one for each element, from what `pick` returns, the reference and the unit
+/// of the change.
+pub(super) fn loss_and_score<T>(
+    memory: Memory,
+    family: Family,
+    pick: impl Fn(&Predicted) -> T,
+    score: impl Fn(&T, &[f32], &[f32]) -> Vec<f64>,
+) -> (f64, f64) {
+    let (bench, network, _) = bench(memory, family);
+    let data = &bench.data;
+    let training = Training { batch_size: 8, ..Training::default() };
+    let objective =
+        Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
+    let at = &bench.partition.test[..1];
+    let terms = objective.terms(at, Draw::Mean).unwrap();
+    let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
+    let deviation = &data.normalizers.changes[&Modality::ARM].std;
+    let context = if memory == Memory::None { 1 } else { WINDOW.context };
+    let mut scores = Vec::new();
+    for (distance, ago) in (1..=WINDOW.horizon).flat_map(|one| (0..context).map(move |ago| (one, ago))) {
+        let window = Window { context: context - ago, horizon: distance, ..WINDOW };
+        let trained = trained(data, objective.network.detached(), &window);
+        let present = [at[0].before(ago)];
+        let found = received(&trained, &present, Modality::ARM, &pick).remove(&distance).unwrap();
+        scores.extend(score(
+            &found,
+            data.samples.vector(Modality::ARM, present[0].after(distance)),
+            deviation,
+        ));
+    }
+    (f64::from(term.value.to_scalar::<f32>().unwrap()), scores.iter().sum::<f64>() / scores.len() as f64)
 }
 
 #[test]
@@ -81,32 +125,12 @@ fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
 #[test]
 fn the_loss_is_the_error_of_the_predictions_in_units_of_the_change() {
     for memory in MEMORIES {
-        let (bench, network, _) = bench(memory, Family::None);
-        let (data, horizon) = (&bench.data, WINDOW.horizon);
-        let training = Training { batch_size: 8, ..Training::default() };
-        let objective =
-            Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
-        // One window, so that a network with memory sees each sample of its sequence once.
-        let at = &bench.partition.test[..1];
-        let terms = objective.terms(at, Draw::Mean).unwrap();
-        let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
-        let loss = f64::from(term.value.to_scalar::<f32>().unwrap());
-        let deviation = &data.normalizers.changes[&Modality::ARM].std;
-        let context = if memory == Memory::None { 1 } else { WINDOW.context };
-        let mut errors = Vec::new();
-        for distance in 1..=horizon {
-            for ago in 0..context {
-                let window = Window { context: context - ago, horizon: distance, ..WINDOW };
-                let network = objective.network.detached();
-                let trained = trained(data, network, &window);
-                let present = [at[0].before(ago)];
-                let found = predicted(&trained, &present, Modality::ARM).remove(&distance).unwrap();
-                let reference = data.samples.vector(Modality::ARM, present[0].after(distance));
-                let error = found.iter().zip(reference).zip(deviation);
-                errors.extend(error.map(|((a, b), std)| f64::from((a - b) / std).powi(2)));
-            }
-        }
-        let expected = errors.iter().sum::<f64>() / errors.len() as f64;
+        let error = |found: &Vec<f32>, reference: &[f32], deviation: &[f32]| {
+            let all = found.iter().zip(reference).zip(deviation);
+            all.map(|((a, b), std)| f64::from((a - b) / std).powi(2)).collect()
+        };
+        let values = |prediction: &Predicted| prediction.values.clone();
+        let (loss, expected) = loss_and_score(memory, Family::None, values, error);
         assert!((loss - expected).abs() < 1e-4 * expected, "{memory}: {loss} {expected}");
     }
 }

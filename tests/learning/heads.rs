@@ -1,6 +1,6 @@
 //! Networks that predict distributions.
 
-use super::changes::{BOTH, MEMORIES, WINDOW, bench, trained};
+use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
 use harness_learning::network::Decoder;
@@ -93,45 +93,20 @@ fn softplus_neither_overflows_nor_vanishes() {
     assert!(gradients[0].abs() < 1e-6 && gradients[2] == 0.5 && gradients[4] == 1.0, "{gradients:?}");
 }
 
-/// What is predicted of a modality at each horizon, with its distributions.
-fn distributions(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap<usize, Ensemble> {
-    let mut found = BTreeMap::new();
-    let mut receive = |Predicted { modality, horizon, ensemble, .. }: &Predicted| {
-        if *modality == of {
-            found.insert(*horizon, ensemble.clone().expect("a distribution"));
-        }
-        Ok(())
-    };
-    predictor.predict(at, &mut receive).unwrap();
-    found
+/// The distribution of a prediction.
+fn distribution(prediction: &Predicted) -> Ensemble {
+    prediction.ensemble.clone().expect("a distribution")
 }
 
 #[test]
 fn the_loss_is_the_crps_of_the_judged_distributions() {
     for memory in MEMORIES {
-        let (bench, network, _) = bench(memory, Family::Gaussian);
-        let (data, horizon) = (&bench.data, WINDOW.horizon);
-        let training = Training::default();
-        let objective =
-            Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
-        let at = &bench.partition.test[..1];
-        let terms = objective.terms(at, Draw::Mean).unwrap();
-        let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
-        let loss = f64::from(term.value.to_scalar::<f32>().unwrap());
-        let deviation = &data.normalizers.changes[&Modality::ARM].std;
-        let context = if memory == Memory::None { 1 } else { WINDOW.context };
-        let mut scores = Vec::new();
-        for (distance, ago) in (1..=horizon).flat_map(|one| (0..context).map(move |ago| (one, ago))) {
-            let window = Window { context: context - ago, horizon: distance, ..WINDOW };
-            let trained = trained(data, objective.network.detached(), &window);
-            let present = [at[0].before(ago)];
-            let ensemble = distributions(&trained, &present, Modality::ARM).remove(&distance).unwrap();
-            let reference = data.samples.vector(Modality::ARM, present[0].after(distance));
-            for (element, (reference, std)) in reference.iter().zip(deviation).enumerate() {
-                scores.push(ensemble.at(element).crps(*reference) / f64::from(*std));
-            }
-        }
-        let expected = scores.iter().sum::<f64>() / scores.len() as f64;
+        let crps = |found: &Ensemble, reference: &[f32], deviation: &[f32]| {
+            let all = reference.iter().zip(deviation).enumerate();
+            all.map(|(element, (reference, std))| found.at(element).crps(*reference) / f64::from(*std))
+                .collect()
+        };
+        let (loss, expected) = loss_and_score(memory, Family::Gaussian, distribution, crps);
         // The judge has 100 quantiles.
         assert!((loss - expected).abs() < 5e-3 * expected, "{memory}: {loss} {expected}");
     }
@@ -143,10 +118,10 @@ fn drawn_values_have_the_spread_of_the_distribution() {
     let window = WINDOW;
     let mut trained = trained(&bench.data, network.detached(), &window);
     let at = &bench.partition.test[..2];
-    let quantiles = distributions(&trained, at, Modality::ARM);
+    let quantiles = received(&trained, at, Modality::ARM, distribution);
     trained.draws = 400;
-    let draws = distributions(&trained, at, Modality::ARM);
-    assert_eq!(distributions(&trained, &at[1..], Modality::ARM)[&2].at(0).quantile(0.3), {
+    let draws = received(&trained, at, Modality::ARM, distribution);
+    assert_eq!(received(&trained, &at[1..], Modality::ARM, distribution)[&2].at(0).quantile(0.3), {
         draws[&2].at(ARM_JOINTS).quantile(0.3)
     });
     for (horizon, value) in
