@@ -26,7 +26,7 @@ const HINTS: Hints = Hints {
 };
 
 /// The formats of files of named arrays, in which `episodes` may be a pattern of groups.
-const ARRAYS: [&str; 3] = ["hdf5", "zarr", "matlab"];
+const ARRAYS: [&str; 4] = ["hdf5", "zarr", "matlab", "numpy"];
 
 /// The sections whose keys are names.
 const NAMED: [&str; 2] = ["streams", "modalities"];
@@ -74,14 +74,17 @@ fn format(tree: &Node) -> Result<&'static Json, Problem> {
     let all: Vec<&str> = formats().flat_map(names).collect();
     match (tree.get("format"), &tree.value) {
         (Some(Node { value: Value::Text(name), place }), _) => {
-            let message = || unknown("format", name, "", &all, str::to_owned);
-            formats()
-                .find(|format| names(format).contains(&name.as_str()))
-                .ok_or_else(|| Problem::new(place, message()))
+            let message = || unknown("format", name, "", &unique(all.clone()), str::to_owned);
+            // The rows of Parquet files are samples, or those of streams with times.
+            let has_streams = tree.get("streams").is_some();
+            let mut named: Vec<_> =
+                formats().filter(|format| names(format).contains(&name.as_str())).collect();
+            named.sort_by_key(|format| format["properties"].get("streams").is_some() != has_streams);
+            named.first().copied().ok_or_else(|| Problem::new(place, message()))
         }
         (Some(other), _) => Err(Problem::new(
             &other.place,
-            format!("'format': expected one of {}, found {}", all.join(", "), other.value),
+            format!("'format': expected one of {}, found {}", unique(all).join(", "), other.value),
         )),
         (None, Value::Section(entries)) => {
             let keys: Vec<&str> = formats().flat_map(properties).map(|(key, _)| key.as_str()).collect();
@@ -92,7 +95,9 @@ fn format(tree: &Node) -> Result<&'static Json, Problem> {
                     &entry.key_place,
                     unknown("key", &entry.key, "", &unique(keys), str::to_owned),
                 ),
-                None => Problem::new(&tree.place, format!("missing 'format': one of {}", all.join(", "))),
+                None => {
+                    Problem::new(&tree.place, format!("missing 'format': one of {}", unique(all).join(", ")))
+                }
             })
         }
         (None, other) => Err(Problem::new(&tree.place, format!("expected a section of keys, found {other}"))),
@@ -209,8 +214,16 @@ fn modality(node: &Node, known: Option<&Definition>) -> Result<bool, (&'static s
     if let Some(unit) = node.get("unit") {
         one_line(text(unit)).map_err(|message| (".unit", message.into()))?;
     }
-    if is_image && node.get("scale").is_some() {
-        return Err((".scale", "only a vector has a scale".into()));
+    let of_others = match is_image {
+        true => [".scale", ".angle", ".quaternion"],
+        false => [".order", ".crop", ".range"],
+    };
+    if let Some(key) = of_others.into_iter().find(|key| node.get(&key[1..]).is_some()) {
+        let kind = if is_image { "a vector" } else { "an image, which has a size," };
+        return Err((key, format!("only {kind} has this key")));
+    }
+    if node.get("angle").is_some() && node.get("quaternion").is_some() {
+        return Err((".quaternion", "a modality is an angle or a quaternion".into()));
     }
     let (key, from) = node.get("from").map_or(("", node), |from| (".from", from));
     if is_image && matches!(&from.value, Value::List(terms) if terms.len() != 1) {

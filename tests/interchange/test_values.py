@@ -145,9 +145,7 @@ def of_videos(folder: Path, write: Callable[[Path], Any], ending: str) -> Path:
 
 def test_a_video_of_depths_is_refused(tmp_path):
     depth = np.full((48, 64), 4000, np.uint16)
-    with pytest.raises(
-        ValueError, match="rec/0/eye.mkv: frame 0, at 0.000 s: has pixels of the kind gray16le; a picture"
-    ):
+    with pytest.raises(ValueError, match="rec/0/eye.mkv: frame 0, at 0.000 s: is no picture but uint16; a picture"):
         of_videos(tmp_path, lambda path: video(path, depth, "gray16le", "ffv1"), ".mkv")
 
 
@@ -173,7 +171,11 @@ def test_a_video_is_turned_as_players_show_it(tmp_path):
     ("format", "words"),
     [
         ("16UC1; png compressed ", "has pixels of the kind I;16; a picture has 8 bits"),
-        ("16UC1; compressedDepth", "has the format '16UC1; compressedDepth', and a picture has 8 bits"),
+        ("16UC1; compressedDepth png", "has pixels of the kind I;16; a picture has 8 bits"),
+        (
+            "32FC1; compressedDepth png",
+            "has the format '32FC1; compressedDepth png'; compressed depths can be read as 16UC1",
+        ),
     ],
 )
 def test_compressed_images_of_16_bits_in_a_bag_are_refused(tmp_path, format, words):

@@ -188,7 +188,7 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
         ),
         (
             csv("  vision: {from: log.x, scale: 2}"),
-            "m.yaml:9:32: 'modalities.vision.scale': only a vector has a scale",
+            "m.yaml:9:32: 'modalities.vision.scale': only a vector has this key",
         ),
         (
             csv(r#"  x: {from: log.x, unit: "m\n"}"#),
@@ -217,11 +217,31 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
             "m.yaml:5:15: 'episode_ends': 'episodes' divides the recording into episodes already; remove one of them",
         ),
         (line("format: csv", "format: zarr"), "m.yaml:6:17: unknown key 'file' in 'streams.log'"),
+        (
+            csv("  x: {from: log.x, crop: [0, 0, 8, 8]}"),
+            "m.yaml:9:26: 'modalities.x.crop': only an image, which has a size, has this key",
+        ),
+        (
+            csv("  x: {from: log.x, angle: deg, quaternion: xyzw}"),
+            "m.yaml:9:44: 'modalities.x.quaternion': a modality is an angle or a quaternion",
+        ),
+        (line("time: t", "time: [t]"), "m.yaml:6:38: 'streams.log.time': expected a list of 2 items"),
+        (line("time: t", "time: t, header: no"), "m.yaml:6:49: 'streams.log.header': expected "),
     ];
     for (text, message) in cases {
         let error = read(&text).expect_err(&text);
         assert!(error.starts_with(message), "{text}\nexpected {message}\nfound    {error}");
     }
+}
+
+#[test]
+fn a_parquet_file_has_rows_that_are_samples_or_streams_with_keys_for_cleaning() {
+    assert!(read(PARQUET).is_ok());
+    let keys =
+        "time: [t, ns], missing: skip, missing_values: [NA, null, '-', -9999], header: none, offset_s: delay";
+    let text = format!("{CSV}  x: {{from: log.x, angle: deg}}\n").replace("time: t", keys);
+    let text = text.replace("format: csv", "format: parquet\nsteps_back: split\nfrom_s: start\nto_s: 9.5");
+    assert_eq!(read(&text).err(), None);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-"""Imports recordings as datasets: LeRobot datasets, Parquet, CSV, HDF5, zarr and MATLAB files, videos, ROS 2 bags.
+"""Imports recordings as datasets: LeRobot datasets, Parquet, CSV, HDF5, zarr, MATLAB, NumPy files, videos, ROS 2 bags.
 
 `import_dataset` does the same as the command
 
@@ -24,7 +24,8 @@ defines which columns of the recording make up which modality:
     order: sample                   # the column by which an episode's rows are sorted: a counter, or a time
     sample_rate_hz: 10              # samples per second
 
-The formats csv, hdf5, zarr, matlab and ros2 have streams with times of their own, which are aligned to one rate:
+The formats csv, hdf5, zarr, matlab, numpy and ros2 have streams with times of their own, which are aligned to one rate.
+So has parquet, if the mapping has `streams`:
 
     format: ros2
     sample_rate_hz: 10
@@ -40,8 +41,9 @@ docs/exchange.md describes their keys. The import also writes a page with plots 
 `harness import --inspect FILE` writes a first mapping.
 
 `source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. `setpoint: none`
-is a recording without commands, whose models get no action. Vectors may have any width. The names of the finger's modalities have a fixed meaning. Their values must be in rad, m and N, after they
-have been multiplied by `scale`. `vision` is an image, which is resized to 64 x 64 pixels unless it has a `size`. A
+is a recording without commands, whose models get no action. Vectors may have any width. The names of the finger's
+modalities have a fixed meaning. Their values must be in rad, m and N, after they have been multiplied by `scale`.
+`vision` is an image, which is resized to 64 x 64 pixels unless it has a `size`. A
 recording needs at least one episode with at least 2 samples.
 
 A row of a LeRobot dataset contains an observation and the action that is sent after it. Its `action` is therefore the
@@ -135,6 +137,8 @@ class Import:
     """How runs divide the dataset, in a sentence."""
     notes: list[str]
     """What may be wrong with it, in sentences."""
+    cleaned: list[str]
+    """What was left out or changed, with how much."""
 
 
 def run_import(path: Path, results: Path, progress: bool) -> Import:
@@ -150,7 +154,7 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
     page = results / "imports" / f"{name}.html"
     split, notes = _harness.recording_notes(results / "datasets", name)
     write_page(page, name, mapping, recording, sketch, [split, *notes])
-    return Import(name, recording, page, split, notes)
+    return Import(name, recording, page, split, notes, mapping.counts.lines)
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:
@@ -171,15 +175,20 @@ def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch
     )
     try:
         with bar:
-            for columns in recording.episodes:
+            for place, labels, columns in zip(recording.places, recording.labels, recording.episodes, strict=True):
                 try:
-                    episode = episode_of(count, columns, mapping, recording.sample_rate_hz, bar.update)
+                    episode = episode_of(count, columns(), mapping, recording.sample_rate_hz, bar.update)
                 except MappingError as error:
-                    raise MappingError(f"{recording.places[count]}: episode {count}: {error}") from None
+                    message = f"{place}: episode {count}: {error}"
+                    if mapping.text.get("bad_episodes") != "skip":
+                        raise MappingError(message) from None
+                    mapping.counts.note(f"episode is left out: {message}", message, 1)
+                    continue
                 count += 1
-                sketch.add(episode)
+                episode.labels.update(labels)
+                sketch.add(episode, place)
                 yield episode
         if count == 0:
-            raise MappingError("no episode was found")
+            raise MappingError("; ".join(["no episode was found", *mapping.counts.lines]))
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from None

@@ -7,8 +7,10 @@ import shlex
 import sys
 from pathlib import Path
 
+import polars as pl
+
 from harness import _harness
-from harness.importing import run_import
+from harness.importing import lag, run_import
 from harness.importing.inspection import first_mapping, inspect
 from harness.importing.recording import table
 
@@ -16,14 +18,15 @@ EXAMPLES = """examples:
   harness import mapping.yaml
   harness import --inspect recordings/trial_1.h5
   harness import --inspect bags --output lab.yaml
+  harness import mapping.yaml --lag joints.angle force.z
 """
 
 
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="harness import",
-        description="Import a recording as a dataset: a LeRobot dataset, Parquet, CSV, HDF5, zarr or MATLAB files,\n"
-        "or ROS 2 bags.",
+        description="Import a recording as a dataset: a LeRobot dataset, Parquet, CSV, HDF5, zarr, MATLAB or\n"
+        "NumPy files, or ROS 2 bags.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -38,17 +41,27 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument(
         "--inspect", type=Path, metavar="FILE", help="list what is in a recording; write a first mapping"
     )
-    output = "the file for the first mapping, with --inspect [default: FILE.yaml]"
-    parser.add_argument("--output", type=Path, metavar="MAPPING", help=output)
+    delay = "measure by how much a column comes after another, for example `joints.angle force.z`; imports nothing"
+    parser.add_argument("--lag", nargs=2, metavar=("COLUMN", "COLUMN"), help=delay)
+    longest = "the longest delay that --lag looks for, s [default: 1]"
+    parser.add_argument("--max-lag", type=float, metavar="S", help=longest)
+    output = "the file for the first mapping of --inspect [default: FILE.yaml], or for the trials' offsets of --lag"
+    parser.add_argument("--output", type=Path, metavar="FILE", help=output)
     arguments = parser.parse_args(words)
     if (arguments.mapping is None) == (arguments.inspect is None):
         parser.error("name a mapping, or a recording with --inspect FILE")
-    if arguments.output and not arguments.inspect:
-        parser.error("--output needs --inspect FILE")
-    if arguments.results and arguments.inspect:
-        parser.error("--results can't be combined with --inspect")
+    if arguments.lag and arguments.inspect:
+        parser.error("--lag needs a mapping; --inspect FILE writes a first one")
+    if arguments.output and not (arguments.inspect or arguments.lag):
+        parser.error("--output needs --inspect FILE or --lag COLUMN COLUMN")
+    if arguments.results and (arguments.inspect or arguments.lag):
+        parser.error("--results can't be combined with --inspect or --lag, which import nothing")
+    if arguments.max_lag is not None and not (arguments.lag and 0 < arguments.max_lag < 3600):
+        parser.error("--max-lag needs --lag COLUMN COLUMN, and is above 0 and below 3600 s")
     try:
-        if arguments.inspect:
+        if arguments.lag:
+            _lag(arguments.mapping, tuple(arguments.lag), arguments.max_lag or 1.0, arguments.output)
+        elif arguments.inspect:
             _inspect(arguments.inspect, arguments.output)
         else:
             _import(arguments.mapping, arguments.results or Path("results"))
@@ -64,13 +77,25 @@ def _import(mapping: Path, results: Path) -> None:
     done = run_import(mapping, results, progress=True)
     if done.recording.qualities:
         print("\n".join(table(done.recording)))
-    if done.recording.left_out:
-        print(f"{done.recording.left_out} samples are left out, because a stream has a gap there")
+    if done.cleaned:
+        print("\n".join(done.cleaned))
     print(done.split)
     for note in done.notes:
         print(f"warning: {note}", file=sys.stderr)
     print(f"{done.page}: plots of every modality; open it to see whether the mapping is right")
     print(f"{done.name}: in {results / 'datasets' / done.name}; train on it with 'scenarios=[{done.name}]'")
+
+
+def _lag(mapping: Path, terms: tuple[str, str], longest_s: float, output: Path | None) -> None:
+    found = lag.lags(mapping, terms, longest_s)
+    print("\n".join(lag.table(found, terms)))
+    if output:
+        rows = [{"trial": each.trial, "offset_s": round(each.offset_s, 6)} for each in found]
+        pl.DataFrame(rows).write_csv(output)
+        stream = terms[1].partition(".")[0]
+        print(
+            f"{output}: the offset of each trial; say 'episodes: {output}' and in streams.{stream} 'offset_s: offset_s'"
+        )
 
 
 def _inspect(source: Path, output: Path | None) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .mapping import Columns, Mapping, MappingError, Sampling, Selection, StreamSettings
-from .pictures import decoded
-from .streams import Stream, Take, seconds
+from .mapping import Columns, Look, Mapping, MappingError, Sampling, Selection, StreamSettings, wrapped
+from .pictures import shown
+from .streams import Stream, Take, needing, seconds
 
 TOLERANCE_NS = 1000
 """A value that is at most so much later than a sample counts as measured at the sample."""
@@ -99,6 +99,8 @@ class Plan:
     """The samples of each episode."""
     left_out: int
     """Samples that are in no episode, because a stream has a gap there."""
+    outside: int
+    """Samples before and after the part of the take that the mapping asks for."""
 
 
 def latest(times: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -107,11 +109,13 @@ def latest(times: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return rows
 
 
-def plan(take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, Quality]) -> Plan:
+def plan(
+    take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, Quality], part: tuple[float, float]
+) -> Plan:
     """Divides a take into episodes, and adds its streams to the qualities.
 
     A sample is where every stream has had a value, and no stream has ended. A stream without a longest gap keeps its
-    last value until the others end.
+    last value until the others end. `part` says from when to when samples are used, s from the first.
 
     Raises:
         MappingError: the streams do not overlap, or one has a gap that is too long.
@@ -133,7 +137,14 @@ def plan(take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, 
             "begin_at_zero"
         )
     rate = sampling.sample_rate_hz
-    whole = Span(start, 0, int((end + TOLERANCE_NS - start) * rate / 1e9) + 1)
+    count = int((end + TOLERANCE_NS - start) * rate / 1e9) + 1
+    begin = int(np.ceil(part[0] * rate - 1e-6))
+    whole = Span(start, begin, int(min(count, part[1] * rate + 1e-6 + 1)))
+    if whole.last <= whole.first:
+        raise MappingError(
+            f"{take.name}: from_s {part[0]:g} to to_s {part[1]:g} leaves no sample; the streams are all there for "
+            f"{(end - start) / 1e9:.6g} s"
+        )
     samples = whole.times(rate)
     usable = np.ones(len(samples), bool)
     for name, stream in take.streams.items():
@@ -144,14 +155,14 @@ def plan(take: Take, mapping: Mapping, sampling: Sampling, qualities: dict[str, 
     least = 2 + mapping.shift
     spans, left_out = [], int((~usable).sum())
     for first, last in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
-        for begin in range(first, last, most):
-            span = Span(start, begin, min(begin + most, last))
+        for begin in range(whole.first + first, whole.first + last, most):
+            span = Span(start, begin, min(begin + most, whole.first + last))
             # A rest that is too short is left out. A take that is too short as a whole is an error later.
             if span.last - span.first >= least or span.last - span.first == len(samples):
                 spans.append(span)
             else:
                 left_out += span.last - span.first
-    return Plan(spans, left_out)
+    return Plan(spans, left_out, count - len(samples))
 
 
 def _in_gaps(stream: Stream, settings: StreamSettings, samples: np.ndarray, allowed: bool) -> np.ndarray:
@@ -198,15 +209,26 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
     for column in sorted(vectors & pictures):
         raise MappingError(f"modalities: '{column}' is an image of one modality and numbers of another")
     columns: Columns = {}
-    for column in wanted(mapping.selections, take.columns):
-        name = column.partition(".")[0]
-        stream = take.streams[name]
-        if column in pictures:
-            rows = latest(stream.times, span.times(sampling.sample_rate_hz))
-            columns[column] = Pictures(stream, column, rows)
-        else:
-            columns[column] = _aligned(stream, column, span, sampling, sampling.streams[name].align)
-    return columns
+    for column in pictures:
+        stream = take.streams[column.partition(".")[0]]
+        columns[column] = Pictures(stream, column, latest(stream.times, span.times(sampling.sample_rate_hz)))
+    meanings: dict[str, Selection] = {}
+    for selection in mapping.selections.values():
+        own = [] if selection.size else selection.columns(take.columns)
+        for column in own:
+            before = meanings.setdefault(column, selection)
+            if (before.turn, before.quaternion) != (selection.turn, selection.quaternion):
+                raise selection.error(f"'{column}' has another 'angle' or 'quaternion' in modalities.{before.modality}")
+        # The values of a quaternion are aligned together, all others by themselves.
+        for group in [own] if selection.quaternion and own else [[column] for column in own]:
+            names = {column.partition(".")[0] for column in group}
+            if len(names) > 1:
+                raise selection.error(f"a quaternion is from one stream, not from {' and '.join(sorted(names))}")
+            if not {*group} <= {*columns}:
+                name = names.pop()
+                columns |= _aligned(take.streams[name], group, span, sampling, sampling.streams[name].align, selection)
+    # In the order of the first file, by which patterns list them.
+    return {column: columns[column] for column in wanted(mapping.selections, take.columns)}
 
 
 @dataclass(frozen=True)
@@ -217,6 +239,8 @@ class Pictures:
     column: str
     rows: np.ndarray
     """The row of each sample's picture."""
+    look: Look = Look()
+    """What is done with the pictures."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -225,55 +249,67 @@ class Pictures:
         distinct, counts = np.unique(self.rows, return_counts=True)
         pictures = self.stream.pictures(self.column, distinct)
         for row, picture, count in zip(distinct.tolist(), pictures, counts.tolist(), strict=True):
-            yield from itertools.repeat(_decoded(picture, self.stream, row), count)
+            try:
+                pixels = shown(picture, self.look)
+            except ValueError as error:
+                raise MappingError(f"{self.stream.at(row)}: {error}") from None
+            yield from itertools.repeat(pixels, count)
 
 
-def _decoded(picture: Any, stream: Stream, row: int) -> np.ndarray:
-    if isinstance(picture, np.ndarray):
-        return picture
-    try:
-        return decoded(picture)
-    except ValueError as error:
-        raise MappingError(f"{stream.at(row)}: {error}") from None
-
-
-def _aligned(stream: Stream, column: str, span: Span, sampling: Sampling, how: str) -> np.ndarray:
-    """Returns the values of a column at the samples, float64 [samples, elements]."""
+def _aligned(
+    stream: Stream, columns: list[str], span: Span, sampling: Sampling, how: str, selection: Selection
+) -> Columns:
+    """Returns the values of columns at the samples, each float64 [samples, elements]."""
     samples = span.times(sampling.sample_rate_hz, before=1)
     rows = latest(stream.times, samples)
     # The rows after the sample before the first; the first sample of a take has at least its own.
     first = min(int(rows[0]) + 1, int(rows[1])) if how == "mean" else int(rows[1])
     last = min(int(rows[-1]) + 2, len(stream)) if how == "linear" else int(rows[-1]) + 1
-    values = stream.read(column, first, last)
-    values = values.reshape(last - first, -1)
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, element = wrong[0].tolist()
-        which = f" element {element} of" if values.shape[1] > 1 else ""
-        raise MappingError(
-            f"{stream.at(first + row)}:{which} '{column}' is {values[row, element]}; it must be a finite number; to "
-            f"leave out rows without a value, say 'missing: skip' in streams.{column.partition('.')[0]}"
-        )
+    parts = [stream.read(column, first, last).reshape(last - first, -1) for column in columns]
+    for column, part in zip(columns, parts, strict=True):
+        wrong = np.argwhere(~np.isfinite(part))
+        if len(wrong):
+            row, element = wrong[0].tolist()
+            which = f" element {element} of" if part.shape[1] > 1 else ""
+            raise MappingError(
+                f"{stream.at(first + row)}:{which} '{column}' is {part[row, element]}; it must be a finite number; to "
+                f"leave out rows without a value, say 'missing: skip' in streams.{column.partition('.')[0]}"
+            )
+    values = np.concatenate(parts, axis=1)
+    if selection.quaternion:
+        selection.check_quaternions(values, lambda row: stream.at(first + row))
     rows, times, samples = rows - first, stream.times[first:last], samples[1:]
     if how == "linear":
-        return _interpolated(values, times, samples, rows[1:])
-    if how == "mean":
-        return _means(values, rows)
-    latest_values: np.ndarray = values[rows[1:]]
-    return latest_values
+        found = _interpolated(values, times, samples, rows[1:], selection)
+    elif how == "mean":
+        found = _means(values, rows, selection)
+    else:
+        found = values[rows[1:]]
+    ends = np.cumsum([part.shape[1] for part in parts])
+    return dict(zip(columns, np.split(found, ends[:-1], axis=1), strict=True))
 
 
-def _interpolated(values: np.ndarray, times: np.ndarray, samples: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Returns what lies on the line from the last value to the next."""
+def _interpolated(
+    values: np.ndarray, times: np.ndarray, samples: np.ndarray, rows: np.ndarray, selection: Selection
+) -> np.ndarray:
+    """Returns what lies on the line from the last value to the next, or on the shorter arc of angles and rotations."""
     after = np.minimum(rows + 1, len(times) - 1)
     length = np.maximum(times[after] - times[rows], 1)
     share = np.clip((samples - times[rows]) / length, 0.0, 1.0)[:, None]
-    interpolated: np.ndarray = values[rows] + share * (values[after] - values[rows])
+    if selection.quaternion:
+        before, turn = _rotations(values[rows], selection), _rotations(values[after], selection)
+        way = (before.inv() * turn).as_rotvec()
+        return _quaternions(before * type(before).from_rotvec(share * way), selection)
+    way = values[after] - values[rows]
+    if selection.turn:
+        way = wrapped(way, selection.turn)
+    interpolated: np.ndarray = values[rows] + share * way
     return interpolated
 
 
-def _means(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Returns the means of the values since the sample before; the last value where there is none since.
+def _means(values: np.ndarray, rows: np.ndarray, selection: Selection) -> np.ndarray:
+    """Returns the means of the values since the sample before; the last value where there is none since. Angles and
+    rotations have means on the circle and the sphere.
 
     `rows` has the row of the last value at the sample before the first, and at each sample.
     """
@@ -281,7 +317,32 @@ def _means(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     counts = end - begin
     means: np.ndarray = values[rows[1:]].copy()
     full = counts > 0
-    if full.any():
-        sums = np.add.reduceat(values[: end[-1]], begin[full], axis=0)
-        means[full] = sums / counts[full, None]
+    if not full.any():
+        return means
+    if selection.quaternion:
+        for sample in np.flatnonzero(counts > 1).tolist():
+            rotations = _rotations(values[begin[sample] : end[sample]], selection)
+            means[sample] = _quaternions(rotations.mean(), selection)
+        return means
+
+    def sums(each: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(each[: end[-1]], begin[full], axis=0)
+
+    if selection.turn:
+        angles = values * (2 * np.pi / selection.turn)
+        means[full] = np.arctan2(sums(np.sin(angles)), sums(np.cos(angles))) * (selection.turn / (2 * np.pi))
+    else:
+        means[full] = sums(values) / counts[full, None]
     return means
+
+
+def _rotations(values: np.ndarray, selection: Selection) -> Any:
+    """Returns quaternions as rotations of scipy."""
+    with needing("scipy", "quaternions"):
+        from scipy.spatial.transform import Rotation
+    return Rotation.from_quat(np.roll(values, -1, axis=-1) if selection.quaternion == "wxyz" else values)
+
+
+def _quaternions(rotations: Any, selection: Selection) -> np.ndarray:
+    values: np.ndarray = rotations.as_quat()
+    return np.roll(values, 1, axis=-1) if selection.quaternion == "wxyz" else values

@@ -1,17 +1,18 @@
-"""Takes from files of named arrays: HDF5, zarr and MATLAB."""
+"""Takes from files of named arrays: HDF5, zarr, MATLAB and NumPy."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .mapping import Mapping, MappingError, StreamSettings
-from .streams import Stream, Take, blaming, changes, divided, nanoseconds, natural, regular
+from .streams import Stream, Take, blaming, changes, divided, natural, regular, stamps
 
 Arrays = dict[str, Any]
 """Arrays by their path in a file, such as `observations/qpos`. Each has a shape, a dtype, and slices that are read."""
@@ -23,33 +24,63 @@ BLOCK_BYTES = 2**25
 """How much of an array of pictures is read at once."""
 
 
+Opened = Callable[[Path], AbstractContextManager[Arrays]]
+"""Opens the arrays of a file."""
+
+
 def takes_of(
-    mapping: Mapping, files: list[Path], opened: Callable[[Path], AbstractContextManager[Arrays]], by_rows: bool = True
-) -> Iterator[Take]:
-    """Yields the takes of files: one of each file, or as the mapping divides each file.
+    mapping: Mapping, files: list[Path], opened: Opened, by_rows: bool = True
+) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each file: one, or as the mapping divides the file.
 
     Args:
         mapping: the mapping.
         files: the files, in order.
         opened: opens the arrays of a file.
         by_rows: whether the first axis always counts the rows. Otherwise, it is the axis as long as the times.
+    """
+    return [partial(_takes_of, mapping, path, opened, by_rows) for path in files]
+
+
+def _takes_of(mapping: Mapping, path: Path, opened: Opened, by_rows: bool) -> Iterator[Take]:
+    """Yields the takes of a file.
 
     Raises:
-        MappingError: a file is damaged, or does not fit the mapping.
+        MappingError: it is damaged, or does not fit the mapping.
     """
     assert mapping.sampling
     streams, division = mapping.sampling.streams, mapping.sampling.divided_by
-    for path in files:
-        with opened(path) as arrays:
-            if "episodes" in division:
-                for group, members in _groups(str(path), arrays, division["episodes"]):
-                    place = f"{path}: {group}"
-                    own = {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()}
-                    yield Take(place, own)
-                continue
-            whole = {name: _stream(str(path), ": ", each, arrays, by_rows) for name, each in streams.items()}
-            key = next((key for key in ("episode", "episode_ends") if key in division), None)
-            yield from [Take(str(path), whole)] if key is None else _by_rows(path, whole, arrays, key, division[key])
+    with opened(path) as arrays:
+        arrays = dict(_plain(arrays))
+        if "episodes" in division:
+            for group, members in _groups(str(path), arrays, division["episodes"]):
+                place = f"{path}: {group}"
+                own = {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()}
+                yield Take(place, own)
+            return
+        whole = {name: _stream(str(path), ": ", each, arrays, by_rows) for name, each in streams.items()}
+        key = next((key for key in ("episode", "episode_ends") if key in division), None)
+        yield from [Take(str(path), whole)] if key is None else _by_rows(path, whole, arrays, key, division[key])
+
+
+def _plain(arrays: Arrays) -> Iterator[tuple[str, Any]]:
+    """Yields arrays by their names. The fields of a table are called `table/field`."""
+    for name, array in arrays.items():
+        fields = getattr(array.dtype, "names", None)
+        yield from [(f"{name}/{field}", _Field(array, field)) for field in fields] if fields else [(name, array)]
+
+
+class _Field:
+    """A field of an array of records."""
+
+    def __init__(self, table: Any, name: str):
+        self._table, self._name = table, name
+        self.dtype, own = table.dtype[name].base, table.dtype[name].shape
+        self.shape = (*table.shape, *own)
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        found: np.ndarray = self._table[key][self._name]
+        return found
 
 
 def _groups(place: str, arrays: Arrays, pattern: str) -> Iterator[tuple[str, Arrays]]:
@@ -87,39 +118,46 @@ def _by_rows(path: Path, streams: dict[str, Stream], arrays: Arrays, key: str, n
 def _stream(place: str, joint: str, settings: StreamSettings, arrays: Arrays, by_rows: bool) -> Stream:
     """Returns the stream of one array, or of all arrays in a group."""
     data = settings.where["data"].strip("/")
-    below = {path.removeprefix(f"{data}/"): path for path in arrays if path.startswith(f"{data}/")}
-    time = settings.where.get("time", "").strip("/")
-    own = {f"{settings.name}.{name}": path for name, path in below.items() if path != time}
+    # The data `/` are all arrays.
+    prefix = f"{data}/" if data else ""
+    below = {path.removeprefix(prefix): path for path in arrays if path.startswith(prefix)}
+    given = settings.where.get("time", [])
+    clocks = [name.strip("/") for name in (given if isinstance(given, list) else [given])]
+    own = {f"{settings.name}.{name}": path for name, path in below.items() if path not in clocks}
     own = {settings.name: data} if data in arrays else own
     if not own:
         raise MappingError(f"{place}: there is no '{data}' for streams.{settings.name}.data; {_listing(arrays)}")
-    stamps = None
-    if time:
-        array = _array(place, arrays, time, f"streams.{settings.name}.time")
-        at = f"{place}{joint}{time}"
-        with blaming(at):
-            values = np.asarray(array[:]).reshape(-1)
-        if values.dtype.kind not in "iuf":
-            raise MappingError(f"{at}: holds no numbers; times must be numbers")
-        stamps = nanoseconds(values, settings.time_unit, lambda row: f"{at}: row {row}")
+    times = None
+    if clocks:
+        at = f"{place}{joint}{', '.join(clocks)}"
+        parts = [_numbers(place, joint, arrays, clock, settings) for clock in clocks]
+        times = stamps(parts, settings, lambda row: f"{at}: row {row}")
     elif not settings.rate_hz:
         raise settings.error("needs the array 'time', or rate_hz")
     columns = {
-        column: arrays[path] if by_rows else _RowsFirst(arrays[path], None if stamps is None else len(stamps))
+        column: arrays[path] if by_rows else _RowsFirst(arrays[path], None if times is None else len(times))
         for column, path in own.items()
     }
     lengths = {own[column]: array.shape[0] if array.shape else 0 for column, array in columns.items()}
-    rows = len(stamps) if stamps is not None else next(iter(lengths.values()))
+    rows = len(times) if times is not None else next(iter(lengths.values()))
     for path, length in lengths.items():
         if length != rows:
-            other = f"its times {time}" if stamps is not None else next(iter(lengths))
-            raise MappingError(
-                f"{place}{joint}{path}: has {length} rows, and {other} {'have' if stamps is not None else 'has'} {rows}"
-            )
-    if stamps is None:
+            other = f"its times {', '.join(clocks)} have" if clocks else f"{next(iter(lengths))} has"
+            raise MappingError(f"{place}{joint}{path}: has {length} rows, and {other} {rows}")
+    if times is None:
         assert settings.rate_hz
-        stamps = regular(rows, settings.rate_hz)
-    return ArrayStream(f"{place}{joint}{data}", columns, stamps)
+        times = regular(rows, settings.rate_hz)
+    return ArrayStream(f"{place}{joint}{data}", columns, times)
+
+
+def _numbers(place: str, joint: str, arrays: Arrays, name: str, settings: StreamSettings) -> np.ndarray:
+    """Returns the numbers in an array of times."""
+    array = _array(place, arrays, name, f"streams.{settings.name}.time")
+    with blaming(f"{place}{joint}{name}"):
+        values = np.asarray(array[:]).reshape(-1)
+    if values.dtype.kind not in "iuf":
+        raise MappingError(f"{place}{joint}{name}: holds no numbers; times must be numbers")
+    return values
 
 
 def _array(place: str, arrays: Arrays, name: str, key: str) -> Any:
@@ -166,8 +204,8 @@ class ArrayStream(Stream):
         packed = [name for name, none in PACKING.items() if np.any(np.asarray(attributes.get(name, none)) != none)]
         if packed:
             raise MappingError(
-                f"{self.place}: '{column}' has the attribute {packed[0]}, so that its numbers are not its values; write "
-                "the values to a file first, for example with xarray"
+                f"{self.place}: '{column}' has the attribute {packed[0]}, so that its numbers are not its values; "
+                "write the values to a file first, for example with xarray"
             )
         with blaming(f"{self.place}: '{column}', rows {first} to {last - 1}"):
             numbers = np.asarray(array[first:last])
@@ -190,7 +228,7 @@ class ArrayStream(Stream):
             return value
         picture = np.asarray(value)
         channels = {*picture.shape[::2]} & {1, 3, 4} if picture.ndim == 3 else {1}
-        if picture.dtype != np.uint8 or not 1 <= picture.ndim <= 3 or not channels:
+        if picture.dtype.kind not in "uif" or not 1 <= picture.ndim <= 3 or not channels:
             raise MappingError(
                 f"{self.at(row)}: '{column}' is no picture but {picture.dtype} of shape {list(picture.shape)}; a "
                 "picture is uint8, [rows, columns, 3], [3, rows, columns] or [rows, columns], or the bytes of an image"

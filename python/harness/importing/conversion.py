@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -11,8 +12,9 @@ from PIL import Image
 
 from harness.recorded import Episode
 
-from .mapping import Columns, Mapping, MappingError, Selection
-from .pictures import decoded, is_file
+from .alignment import Pictures
+from .mapping import Columns, Look, Mapping, MappingError, Selection
+from .pictures import is_file, shown
 
 SHARE_FRAMES = 100
 """After how many frames the progress is told."""
@@ -48,6 +50,10 @@ def episode_of(
     with_size = [(name, selection) for name, selection in selections.items() if selection.size is not None]
     for name, selection in with_size:
         pictures = columns[selection.column_of_pictures(list(columns))]
+        if isinstance(pictures, Pictures):
+            # They know the place of each picture for messages.
+            pictures = replace(pictures, look=selection.look)
+            selection = replace(selection, look=Look())
 
         def tell(share: float) -> None:
             advance(share / len(with_size))
@@ -81,18 +87,11 @@ def _frame(picture: Any, selection: Selection, shape: tuple[int, int, int]) -> n
         picture = picture.get("bytes")
     if isinstance(picture, bytes):
         if len(picture) == np.prod(shape) and not is_file(picture):
-            return np.frombuffer(picture, np.uint8).reshape(shape)
-        try:
-            picture = decoded(picture)
-        except ValueError as error:
-            raise selection.error(f"a value {error}") from None
-    if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8:
-        kind = picture.dtype if isinstance(picture, np.ndarray) else type(picture).__name__
-        raise selection.error(f"a value is no picture but {kind}; a picture is uint8, or the bytes of an image file")
+            picture = np.frombuffer(picture, np.uint8).reshape(shape)
     try:
-        image = Image.fromarray(picture).convert("RGB")
+        image = Image.fromarray(shown(picture, selection.look)).convert("RGB")
     except (TypeError, ValueError) as error:
-        raise selection.error(f"a value is no picture: {error}") from None
+        raise selection.error(f"a value {error}") from None
     height, width, _ = shape
     # Each new pixel is the mean of the pixels that it covers.
     is_whole = image.size == (width, height)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ from .streams import Take, blaming, natural, needing, sources
 SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 
 
-def takes(mapping: Mapping) -> Iterator[Take]:
-    """Yields the takes of HDF5 files."""
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the HDF5 files."""
     return takes_of(mapping, sources(mapping, SUFFIXES), opened)
 
 

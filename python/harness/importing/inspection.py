@@ -17,25 +17,30 @@ import polars as pl
 
 from harness import _harness
 
-from . import csv, hdf5, matlab, parquet, ros2, zarr
+from . import hdf5, matlab, numpy, parquet, ros2, tables, zarr
 from .arrays import Arrays
-from .mapping import KNOWN, NAME, MappingError
+from .mapping import KNOWN, NAME, UNITS, MappingError, StreamSettings, Text
 from .recording import duration
-from .streams import blaming, natural
+from .streams import NO_TIME, blaming, natural
 from .video import VIDEOS, Folder, Video
 
 SETPOINT = re.compile(r"set_?point|command|cmd|action|target|desired|goal", re.IGNORECASE)
 """What the names of setpoints often contain."""
 TIME = re.compile(
-    r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]*[(\[]?(s|ms|us|ns)[)\]]?)?", re.IGNORECASE
+    r"(.*[_/ ])?(t|time|times|timestamps?|stamps?|seconds|secs?|datetime|date)([_ ]*[(\[]?(s|ms|us|ns)[)\]]?)?",
+    re.IGNORECASE,
 )
 """What times are often called."""
 UNIT = re.compile(r"[_ ]*[(\[]([^()\[\]\d][^()\[\]]*)[)\]]\s*$")
 """The unit at the end of a column's name, as in `Force [N]`."""
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+"""What a number looks like in a text."""
 PLAIN = re.compile(r"(\.{1,2}/)*[A-Za-z_/][A-Za-z0-9_/.-]*")
 """Texts that need no quotes in a mapping, besides words such as `true`."""
 TABLES = (".csv", ".txt", ".tsv")
 """What the names of tables end in."""
+MISSING_WORDS = 5
+"""More different words among the numbers of a table are no marks of missing values."""
 SKIPPED_TOPICS = ("/rosout", "/parameter_events", "/tf", "/tf_static", "/events/write_split")
 
 
@@ -84,9 +89,8 @@ def inspect(path: Path) -> Contents:
     readers: tuple[tuple[bool, Callable[[Path], Contents]], ...] = (
         ((path / "meta/info.json").exists(), _lerobot),
         (_some(path, ros2.SUFFIXES, ("metadata.yaml", "*.db3", "*.mcap", "*/metadata.yaml")), _ros2),
-        (_some(path, (".zarr",), zarr.MARKS) or path.name.endswith(".zarr.zip"), _zarr),
-        (_some(path, hdf5.SUFFIXES), _hdf5),
-        (_some(path, matlab.SUFFIXES), _matlab),
+        (_some(path, (".zarr",), zarr.MARKS) or path.name.endswith(".zarr.zip"), _arrays(zarr)),
+        *((_some(path, each.SUFFIXES), _arrays(each)) for each in (hdf5, matlab, numpy)),
         (_some(path, (".parquet",), ("**/*.parquet",)), _parquet),
         (_some(path, TABLES, ("*/*.csv",)), _csv),
     )
@@ -94,8 +98,8 @@ def inspect(path: Path) -> Contents:
         if matches:
             return read(path)
     raise MappingError(
-        f"{path}: holds no recording: no .csv, .h5, .zarr, .mat, .mcap, .db3, .bag or .parquet file, and no LeRobot "
-        "dataset"
+        f"{path}: holds no recording: no .csv, .h5, .zarr, .mat, .npz, .mcap, .db3, .bag or .parquet file, and no "
+        "LeRobot dataset"
     )
 
 
@@ -175,20 +179,15 @@ def _first(path: Path, suffixes: tuple[str, ...], marks: tuple[str, ...] = ()) -
 # --- arrays ---
 
 
-def _hdf5(path: Path) -> Contents:
-    with hdf5.opened(_first(path, hdf5.SUFFIXES)) as arrays:
-        return _of_arrays("hdf5", _first(path, hdf5.SUFFIXES), arrays)
+def _arrays(reader: Any) -> Callable[[Path], Contents]:
+    """Returns what inspects the files of a reader of named arrays."""
 
+    def read(path: Path) -> Contents:
+        first = _first(path, reader.SUFFIXES, getattr(reader, "MARKS", ()))
+        with reader.opened(first) as arrays:
+            return _of_arrays(reader.__name__.rpartition(".")[2], first, arrays)
 
-def _zarr(path: Path) -> Contents:
-    first = _first(path, zarr.SUFFIXES, zarr.MARKS)
-    with zarr.opened(first) as arrays:
-        return _of_arrays("zarr", first, arrays)
-
-
-def _matlab(path: Path) -> Contents:
-    with matlab.opened(_first(path, matlab.SUFFIXES)) as arrays:
-        return _of_arrays("matlab", _first(path, matlab.SUFFIXES), arrays)
+    return read
 
 
 def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
@@ -217,9 +216,7 @@ def _of_arrays(format: str, path: Path, arrays: Arrays) -> Contents:
         if time:
             values = np.asarray(times[time][:]).reshape(-1)
             unit = _unit(values)
-            each.rate_hz, each.gap_s = _rate(
-                values.astype(np.float64) / {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
-            )
+            each.rate_hz, each.gap_s = _rate(values.astype(np.float64) * UNITS[unit] / 1e9)
             each.settings = f"data: {quoted(name)}, time: {quoted(time)}" + (
                 f", time_unit: {unit}" if unit != "s" else ""
             )
@@ -352,11 +349,13 @@ def _csv(path: Path) -> Contents:
             lines.append(f"  {pattern}: video, {video.count} frames, {rate or 0:.4g} Hz")
             found.append(Found(stream, key.rstrip(", "), [(stream, stream, True)], rate, gap))
         else:
-            tables = _of_table(stream, key, csv.Table(file), pattern or str(file), lines, taken)
-            found += [table for table in tables if table.columns]
-            if not any(table.columns for table in tables) and tables[0].rate_hz:
+            table, units, cleaning = _cleaned(file)
+            key += cleaning
+            parts = _of_table(stream, key, table, units, pattern or str(file), lines, taken)
+            found += [part for part in parts if part.columns]
+            if not any(part.columns for part in parts) and parts[0].rate_hz:
                 # A file of times alone has those of the frames that are called like it.
-                clocks[file.stem] = tables[0].settings.replace("file:", "times:")
+                clocks[file.stem] = parts[0].settings.replace("file:", "times:")
     for each in found:
         stem = each.columns[0][0].removesuffix("_2")
         if each.columns[0][2] and stem in clocks:
@@ -411,15 +410,46 @@ def _kind(path: Path) -> Any:
     """Returns what files of one stream have in common: the columns of tables, or the ending and the name of others."""
     if path.suffix.lower() in TABLES:
         with contextlib.suppress(MappingError, OSError):
-            return csv.header(path)[1]
+            return tables.header(path)[1]
     return path.suffix.lower(), re.sub(r"\d+", "*", path.stem)
 
 
+def _cleaned(file: Path) -> tuple[tables.Table, dict[str, str], str]:
+    """Returns a table without its units and missing values, the units, and the keys of its stream for both."""
+    table = tables.Table(file)
+    units = _units(table)
+    table = tables.Table(file, Text(has_units=True)) if units else table
+    words: set[str] = set()
+    lacks_some = False
+    for name in table.names:
+        texts = table.column(name)
+        if texts.dtype == pl.String:
+            others = texts.filter(texts.cast(pl.Float64, strict=False).is_null() & texts.is_not_null())
+            is_numeric = len(others) + texts.null_count() < len(texts) / 2
+            words |= {*others.unique().to_list()} if is_numeric else set()
+            lacks_some |= is_numeric and len(others) + texts.null_count() > 0
+    words -= {*tables.BOOLEANS}
+    if len(words) > MISSING_WORDS:
+        words = set()
+    keys = "units_row: true, " * bool(units) + "missing: skip, " * lacks_some
+    keys += f"missing_values: {json.dumps(sorted(words), ensure_ascii=False)}, " if words else ""
+    return tables.Table(file, Text(has_units=bool(units), missing=tuple(words))), units, keys
+
+
+def _units(table: tables.Table) -> dict[str, str]:
+    """Returns the units of columns, if the line below the header has some: no number, above numbers."""
+    rows = {name: table.column(name, 0, 2).cast(pl.String).to_list() for name in table.names}
+    numbers = [[value is not None and bool(NUMBER.fullmatch(value)) for value in values] for values in rows.values()]
+    if any(each[0] for each in numbers) or not any(each[-1] for each in numbers):
+        return {}
+    return {name: values[0] or "" for name, values in rows.items()}
+
+
 def _of_table(
-    stream: str, key: str, table: csv.Table, place: str, lines: list[str], taken: set[str]
+    stream: str, key: str, table: tables.Table, units: dict[str, str], place: str, lines: list[str], taken: set[str]
 ) -> list[Found]:
     """Returns a stream of a file, or one for each column of times, with the columns that begin like it."""
-    lines.append(f"  {place}: {len(table.frame)} rows")
+    lines.append(f"  {place}: {table.rows} rows")
     times = [name for name in table.names if TIME.fullmatch(name)]
     prefixes = {name: re.split(r"[^_/ -]*$", name)[0] for name in times}
     clocks = [name for name in times if sum(other.startswith(prefixes[name]) for other in table.names) > 1]
@@ -427,29 +457,36 @@ def _of_table(
         own = {name: [each for each in table.names if each.startswith(prefixes[name])] for name in clocks}
         streams = [_free(prefixes[name], taken) for name in clocks]
         both = zip(streams, clocks, strict=True)
-        return [_of_columns(stream, key, table, own[name], name, lines) for stream, name in both]
+        return [_of_columns(stream, key, table, units, own[name], name, lines) for stream, name in both]
     names = [name for name in table.names if name not in times[1:]]
-    return [_of_columns(stream, key, table, names, times[0] if times else None, lines)]
+    return [_of_columns(stream, key, table, units, names, times[0] if times else None, lines)]
 
 
 def _of_columns(
-    stream: str, key: str, table: csv.Table, columns: list[str], time: str | None, lines: list[str]
+    stream: str,
+    key: str,
+    table: tables.Table,
+    units: dict[str, str],
+    columns: list[str],
+    time: str | None,
+    lines: list[str],
 ) -> Found:
     """Returns a stream of some columns of a table."""
     each = Found(stream, f"{key}rate_hz: ")
     if time:
         with_unit = re.search(r"[_ (\[](ms|us|ns)[)\]]?$", time)
         try:
-            unit = with_unit[1] if with_unit else _unit(table.numbers(time))
+            told = units.get(time, "")
+            unit = told if told in UNITS else with_unit[1] if with_unit else _unit(table.numbers(time))
         except MappingError:
             unit = "s"
-        times = table.times(time, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[unit])
-        each.rate_hz, each.gap_s = _rate(times / 1e9)
+        times = table.times([time], StreamSettings(stream, time_unit=UNITS[unit], skip_missing=True))
+        each.rate_hz, each.gap_s = _rate(times[times != NO_TIME] / 1e9)
         each.settings = f"{key}time: {quoted(time)}" + (f", time_unit: {unit}" if unit != "s" else "")
     groups: dict[str, list[str]] = {}
     for name in columns:
-        texts = table.frame[name]
-        numbers = texts.str.strip_chars().str.replace(",", ".", literal=True).cast(pl.Float64, strict=False)
+        texts = table.column(name)
+        numbers = texts.cast(pl.Float64, strict=False)
         is_numeric = numbers.null_count() < len(numbers)
         shown = ", ".join(str(value) for value in texts.head(3).to_list())
         lines.append(f"    {name}  {'numbers' if is_numeric else 'text'}: {shown}, …")
@@ -463,7 +500,7 @@ def _of_columns(
         unit = UNIT.search(base)
         name = base.removesuffix(unit[0]) if unit else base
         each.columns.append((f"{stream}_{name}", term, False))
-        each.units[f"{stream}_{name}"] = unit[1] if unit else ""
+        each.units[f"{stream}_{name}"] = unit[1] if unit else units.get(names[0], "")
     return each
 
 

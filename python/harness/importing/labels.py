@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping as Labels
 from pathlib import Path
@@ -17,6 +18,8 @@ TAKEN = ("dataset", "scenario", "episode", "sample", "time")
 """Columns of the table `episodes`, which no label can be called."""
 KINDS = {"": (str, r".+?"), "int": (int, r"[+-]?\d+"), "float": (float, r"[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")}
 """What a part of a name may be, as in `{n:int}`, and how it is read."""
+PART = ", part "
+"""What is before the number of a part that begins where the time of a trial goes back."""
 _PART = re.compile(r"\{(\w+)(?::(\w+))?\}")
 
 
@@ -59,8 +62,11 @@ class Labeling:
             MappingError: its name does not match the pattern, or the table has not exactly one row for it.
         """
         name = place.removeprefix(f"{self.folder}/")
+        name, part = name.rsplit(PART, 1) if PART in name else (name, "")
         plain = str(Path(name).with_suffix("")) if re.search(r"\.[A-Za-z]\w*$", name) else name
-        labels: dict[str, Any] = {TRIAL: plain} | {slug(key).lower(): value for key, value in own.items()}
+        labels: dict[str, Any] = {TRIAL: plain + (PART + part if part else "")} | {
+            slug(key).lower(): value for key, value in own.items()
+        }
         if self.expression:
             found = self.expression.fullmatch(name) or self.expression.fullmatch(plain)
             if not found:
@@ -86,6 +92,22 @@ class Labeling:
             wanted = ", ".join(f"{key} {labels[key]}" for key in keys)
             raise MappingError(f"{self.path}: has {rows.height} rows for the trial with {wanted}; it needs one")
         return {key: value for key, value in rows.row(0, named=True).items() if key not in keys}
+
+
+def number(key: str, value: float | str, labels: Labels[str, Any]) -> float:
+    """Returns the number of a key of a mapping, or that of the label that it names.
+
+    Raises:
+        MappingError: there is no such label, or it has no number.
+    """
+    if not isinstance(value, str):
+        return float(value)
+    if value not in labels:
+        raise MappingError(f"{key}: there is no label '{value}'; the labels are {', '.join(labels)}")
+    found = labels[value]
+    if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+        raise MappingError(f"{key}: the label '{value}' of trial {labels[TRIAL]} is {found}, which is no number")
+    return float(found)
 
 
 def _read(path: Path) -> pl.DataFrame:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +44,20 @@ def open_lerobot(mapping: Mapping) -> Recording:
     pictures = {name for name, feature in dataset.meta.features.items() if feature["dtype"] in ("image", "video")}
     places = [f"{mapping.source}, episode {index}" for index in range(len(dataset.meta.episodes))]
 
-    def episodes() -> Iterator[Columns]:
+    def read(episode: Any, place: str) -> Columns:
+        rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
+        with _blaming(mapping.source):
+            items = [dataset[row] for row in rows]
+            times = np.array([float(item["timestamp"]) for item in items])
+        if problem := irregular(times, 1 / dataset.fps):
+            row, how = problem
+            raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
+        return {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
+
+    def episodes() -> Iterator[Callable[[], Columns]]:
         with kept:
             for episode, place in zip(dataset.meta.episodes, places, strict=True):
-                rows = range(episode["dataset_from_index"], episode["dataset_to_index"])
-                with _blaming(mapping.source):
-                    items = [dataset[row] for row in rows]
-                    times = np.array([float(item["timestamp"]) for item in items])
-                if problem := irregular(times, 1 / dataset.fps):
-                    row, how = problem
-                    raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
-                yield {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
+                yield partial(read, episode, place)
 
     labeling = Labeling(mapping)
     labels = [labeling.of(str(index), {}) for index in range(len(places))]

@@ -6,7 +6,8 @@ import fnmatch
 import json
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 KNOWN: dict[str, dict[str, Any]] = {each["name"]: each for each in FINGER["modalities"]}
 """The finger's modalities by name, as its layout defines them."""
-WHERE = ("file", "data", "topic", "time", "times")
+WHERE = ("file", "data", "topic", "frame_id", "time", "times")
 """The keys of a stream that say where its values and times are."""
 DIVISIONS = ("episode", "episodes", "episode_ends")
 """The keys that say how streams form episodes."""
@@ -41,10 +42,28 @@ _TERM = re.compile(r"(?P<column>[^\[\]]+)(\[(?P<first>\d+)(:(?P<last>\d+))?\])?"
 
 def listed(columns: list[str]) -> str:
     """Returns the names of columns, and a hint if a file seems to begin with numbers instead of names."""
-    names = [name.partition(".")[2] or name for name in columns]
+    return ", ".join(columns) + header_hint([name.partition(".")[2] or name for name in columns])
+
+
+def header_hint(names: list[str]) -> str:
+    """Returns what to do if the names of all columns are numbers, otherwise nothing."""
     is_number = re.compile(r"[-+]?\d*\.?\d+([eE][-+]?\d+)?")
-    hint = "; these are numbers, so a file may lack a first line with the names of its columns"
-    return ", ".join(columns) + (hint if names and all(map(is_number.fullmatch, names)) else "")
+    are_numbers = names and all(map(is_number.fullmatch, names))
+    return "; these are numbers: if the file has no line with names, say 'header: none'" if are_numbers else ""
+
+
+def wrapped(angles: np.ndarray, turn: float) -> np.ndarray:
+    """Returns angles above minus half a turn and at most half a turn."""
+    return angles - turn * np.ceil(angles / turn - 0.5)
+
+
+def continuous(values: np.ndarray, order: str) -> np.ndarray:
+    """Returns quaternions, [rows, 4], of length 1. Each has the sign that is nearer to the one before, and the first a
+    positive w."""
+    values = values / np.linalg.norm(values, axis=1, keepdims=True)
+    signs = np.where((values[1:] * values[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    first = -1.0 if values[0, order.index("w")] < 0 else 1.0
+    return values * np.cumprod(np.append(first, signs))[:, None]
 
 
 def slug(text: str) -> str:
@@ -54,6 +73,18 @@ def slug(text: str) -> str:
 
 class MappingError(ValueError):
     """Raised if a mapping is wrong or does not fit the recording. The message says where and why."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is done with the pixels of an image before they are resized."""
+
+    is_bgr: bool = False
+    """Whether its channels are blue, green and red."""
+    crop: tuple[int, int, int, int] | None = None
+    """First row, first column, rows and columns of the part that is kept, pixels."""
+    range: tuple[float, float] | None = None
+    """The values of a depth that become 0 and 255."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +99,14 @@ class Selection:
     """float64, one factor or one per element; None for values that are already in the harness's units."""
     unit: str = ""
     """The unit of a vector that the finger does not have."""
+    turn: float | None = None
+    """A whole turn in the unit of angles, before `scale`; None for other values."""
+    quaternion: str = ""
+    """The order of a quaternion's four values, `xyzw` or `wxyz`; empty for other values."""
     size: tuple[int, int] | None = None
     """Rows and columns of an image; None for a vector."""
+    look: Look = Look()
+    """What is done with an image's pixels before they are resized."""
     shift: int = 0
     """1 for setpoints that each belong to the sample of the next row, otherwise 0."""
 
@@ -114,6 +151,11 @@ class Selection:
         values = np.concatenate(parts, axis=1)
         if values.shape[1] == 0:
             raise self.error(f"{' + '.join(self.terms)} gives no values")
+        if self.turn:
+            values = wrapped(values, self.turn)
+        if self.quaternion:
+            self.check_quaternions(values, "row {}".format)
+            values = continuous(values, self.quaternion)
         if self.scale is not None and len(self.scale) not in (1, values.shape[1]):
             raise self.error(f"scale: must be 1 number or {values.shape[1]}, not {len(self.scale)}")
         if self.scale is not None:
@@ -130,6 +172,17 @@ class Selection:
         short = [slug(column.partition(".")[2] or column).removeprefix(f"{self.modality}_") for column, _ in found]
         long = [slug(column) for column, _ in found]
         return next((names for names in (short, long) if all(names) and len(set(names)) == width > 1), numbers)
+
+    def check_quaternions(self, values: np.ndarray, at: Callable[[int], str]) -> None:
+        """Raises a MappingError if values, [rows, elements], are no quaternions of a length near 1."""
+        if values.shape[1] != 4:
+            raise self.error(f"a quaternion has 4 values, and {' + '.join(self.terms)} has {values.shape[1]}")
+        length = np.linalg.norm(values, axis=1)
+        wrong = np.flatnonzero(~((length > 0.5) & (length < 2)))
+        if len(wrong):
+            raise self.error(
+                f"{at(int(wrong[0]))}: is no quaternion: its length is {length[wrong[0]]:.3g} instead of 1"
+            )
 
     def _numbers(self, column: str, values: Any) -> np.ndarray:
         """Returns the values of a column, float64 [samples, elements]."""
@@ -156,7 +209,9 @@ class Selection:
         is_extreme = (largest > EXACT) | (largest < np.finfo(np.float32).tiny)
         if (coarse := is_extreme & (steps * LEVELS > span) & (span > 0)).any():
             element = int(np.argmax(coarse))
-            advice = "subtract a constant before the import" if largest[element] > 1 else "use a smaller unit, by 'scale'"
+            advice = (
+                "subtract a constant before the import" if largest[element] > 1 else "use a smaller unit, by 'scale'"
+            )
             raise self.error(
                 f"value {element} changes by {span[element]:.6g} only, near {largest[element]:.6g}; datasets store 24 "
                 f"bits (float32), in which such values are {steps[element]:g} apart; {advice}"
@@ -196,28 +251,70 @@ class Rows:
     """Samples per second."""
 
 
+class Counts:
+    """How much an import has left out or changed."""
+
+    def __init__(self) -> None:
+        self._by_what: dict[str, dict[str, int]] = {}
+
+    def note(self, what: str, place: str, count: int) -> None:
+        """Notes how much it was at a place, which may be read several times."""
+        if count:
+            self._by_what.setdefault(what, {})[place] = count
+
+    @property
+    def lines(self) -> list[str]:
+        """What was done, with the sum over all places."""
+        sums = [(what, sum(places.values()), len(places)) for what, places in self._by_what.items()]
+        return [f"{count} {what}" + f", in {places} recordings" * (places > 1) for what, count, places in sums]
+
+
+@dataclass(frozen=True)
+class Text:
+    """How the text of a table is read."""
+
+    header: int | str = ""
+    """The line of the header, from 1; `none` if there is none; empty for the first line that is no comment."""
+    has_units: bool = False
+    """Whether the line below the header has units."""
+    encoding: str = "utf-8"
+    """The name of a Python codec."""
+    missing: tuple[str, ...] = ()
+    """Texts that stand for a missing value."""
+
+
 @dataclass(frozen=True)
 class StreamSettings:
     """Where the values of a stream are, and when they were measured."""
 
     name: str
     """The stream's name in the mapping."""
-    where: dict[str, str]
+    where: dict[str, Any] = field(default_factory=dict)
     """The keys of the format, such as `file`, `data`, `topic` and `time`."""
-    time_unit: int
+    time_unit: int = UNITS["s"]
     """Nanoseconds in the unit of its times."""
-    rate_hz: float | None
+    rate_hz: float | None = None
     """Its rate, for streams without times."""
-    offset_ns: int
-    """Nanoseconds that are added to its times."""
-    begin_at_zero: bool
+    offset_s: float | str = 0.0
+    """Seconds that are added to its times, or the label of a trial that has them."""
+    begin_at_zero: bool = False
     """Whether its times count from its first row."""
-    align: str
+    align: str = "last"
     """`last`, `linear` or `mean`. Pictures always have `last`."""
-    max_gap_s: float
+    max_gap_s: float = math.inf
     """The longest time from one row to the next, s. May be infinite."""
-    skip_missing: bool
-    """Whether rows without a value are left out. Otherwise, they are an error."""
+    skip_missing: bool = False
+    """Whether rows without a value or a time are left out. Otherwise, they are an error."""
+    missing: tuple[float, ...] = ()
+    """Numbers that stand for a missing value."""
+    text: Text = Text()
+    """How its file is read, if it is a text."""
+    counts: Counts = field(default_factory=Counts)
+    """Where it is noted what was left out."""
+
+    def note(self, what: str, place: str, count: int) -> None:
+        """Notes how many of its rows were left out or changed at a place."""
+        self.counts.note(f"rows of streams.{self.name} {what}", place, count)
 
     def error(self, problem: str) -> MappingError:
         """Returns an error whose message begins with the stream's place in the mapping."""
@@ -232,6 +329,14 @@ class Sampling:
     """Samples per second."""
     split_at_gaps: bool
     """Whether a gap begins a new episode. Otherwise, it is an error."""
+    steps_back: str
+    """What happens where a time goes back: `refuse`, `sort` or `split`."""
+    skip_bad: bool
+    """Whether episodes that can't be imported are left out. Otherwise, they are an error."""
+    begin_s: float | str
+    """What is left out at the begin of each trial, s, or the label of a trial that has it."""
+    end_s: float | str
+    """The time from the begin of each trial after which it is left out, s, or a label. May be infinite."""
     max_episode_s: float
     """The longest episode, s. May be infinite."""
     streams: dict[str, StreamSettings]
@@ -260,6 +365,8 @@ class Mapping:
     """Set for recordings of streams only."""
     text: dict[str, Any]
     """The content of the file."""
+    counts: Counts
+    """What the import leaves out or changes."""
 
     @classmethod
     def load(cls, path: Path) -> Mapping:
@@ -278,12 +385,12 @@ class Mapping:
         if not is_pattern and not source.exists():
             raise FileNotFoundError(f"source: {source} is not there")
         rows = None
-        if text["format"] == "parquet":
+        if text["format"] == "parquet" and not has_streams:
             rows = Rows(text["episode"], text["order"], float(text["sample_rate_hz"]))
-        sampling = _sampling(text) if has_streams else None
+        counts = Counts()
+        sampling = _sampling(text, counts) if has_streams else None
         selections = _selections(text["modalities"], text["format"])
-        return cls(text["name"], path.parent, source, text["format"], selections, rows, sampling, text)
-
+        return cls(text["name"], path.parent, source, text["format"], selections, rows, sampling, text, counts)
 
     @property
     def shift(self) -> int:
@@ -291,28 +398,41 @@ class Mapping:
         return self.selections["setpoint"].shift if "setpoint" in self.selections else 0
 
 
-def _sampling(text: dict[str, Any]) -> Sampling:
+def _sampling(text: dict[str, Any], counts: Counts) -> Sampling:
     return Sampling(
         sample_rate_hz=float(text["sample_rate_hz"]),
         split_at_gaps=text.get("gaps") == "split",
+        steps_back=text.get("steps_back", "refuse"),
+        skip_bad=text.get("bad_episodes") == "skip",
+        begin_s=text.get("from_s", 0.0),
+        end_s=text.get("to_s", math.inf),
         max_episode_s=float(text.get("max_episode_s", math.inf)),
-        streams={name: _stream(name, keys, text) for name, keys in text["streams"].items()},
+        streams={name: _stream(name, keys, text, counts) for name, keys in text["streams"].items()},
         divided_by={key: text[key] for key in DIVISIONS if key in text and not str(text[key]).endswith(".csv")},
     )
 
 
-def _stream(name: str, keys: dict[str, Any], text: dict[str, Any]) -> StreamSettings:
+def _stream(name: str, keys: dict[str, Any], text: dict[str, Any], counts: Counts) -> StreamSettings:
     max_gap = keys.get("max_gap_s", text["max_gap_s"])
+    missing = ["null" if each is None else each for each in _listed(keys.get("missing_values", []))]
     return StreamSettings(
         name=name,
         where={key: keys[key] for key in WHERE if key in keys},
         time_unit=UNITS[keys.get("time_unit", "s")],
         rate_hz=keys.get("rate_hz"),
-        offset_ns=round(keys.get("offset_s", 0) * 1e9),
+        offset_s=keys.get("offset_s", 0.0),
         begin_at_zero=keys.get("begin_at_zero", False),
         align=keys.get("align", text.get("align", "last")),
         max_gap_s=math.inf if max_gap == "unlimited" else float(max_gap),
         skip_missing=keys.get("missing") == "skip",
+        missing=tuple(float(each) for each in missing if not isinstance(each, str)),
+        text=Text(
+            keys.get("header", ""),
+            keys.get("units_row", False),
+            keys.get("encoding", "utf-8"),
+            tuple(each for each in missing if isinstance(each, str)),
+        ),
+        counts=counts,
     )
 
 
@@ -327,12 +447,23 @@ def _selection(modality: str, value: Any, kind: str) -> Selection:
     keys = value if isinstance(value, dict) else {"from": value}
     terms = _listed(keys["from"])
     size = keys.get("size", KNOWN.get(modality, {}).get("size"))
+    if "range" in keys and keys["range"][0] == keys["range"][1]:
+        raise MappingError(f"modalities.{modality}.range: its two values must differ")
+    if 0 in keys.get("crop", [])[2:]:
+        raise MappingError(f"modalities.{modality}.crop: at least one row and column must be kept")
     is_action = modality == "setpoint" and kind == "lerobot" and all(_ACTION.match(term) for term in terms)
     return Selection(
         modality=modality,
         terms=tuple(terms),
         scale=np.array(_listed(keys["scale"]), np.float64) if "scale" in keys else None,
-        unit=keys.get("unit", ""),
+        unit=str(keys.get("unit", keys.get("angle", ""))),
+        turn={"deg": 360.0, "rad": 2 * math.pi}.get(keys.get("angle", "")),
+        quaternion=keys.get("quaternion", ""),
+        look=Look(
+            keys.get("order") == "bgr",
+            tuple(keys["crop"]) if "crop" in keys else None,
+            tuple(keys["range"]) if "range" in keys else None,
+        ),
         size=tuple(size) if size else None,
         shift=keys.get("shift", int(is_action)),
     )

@@ -7,7 +7,7 @@ from 1: `trials/1/joints`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ HDF5_MARK = b"\x89HDF"
 """What an HDF5 file has at its begin, or 512 bytes later, as those of MATLAB 7.3 do."""
 
 
-def takes(mapping: Mapping) -> Iterator[Take]:
-    """Yields the takes of MATLAB files."""
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the MATLAB files."""
     return takes_of(mapping, sources(mapping, SUFFIXES), opened, by_rows=False)
 
 

@@ -51,6 +51,8 @@ class Sketch:
     """Which samples these images are, for each of them."""
     lengths: list[int] = field(default_factory=list)
     """The samples of each episode."""
+    places: list[str] = field(default_factory=list)
+    """Where each episode is in the recording."""
     ranges: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     """The least, the largest and the sum of each element of each vector."""
 
@@ -59,9 +61,10 @@ class Sketch:
         """Returns a sketch without episodes, of which the first, the middle and the last will be shown."""
         return cls(sorted({0, recording.length // 2, max(recording.length - 1, 0)}))
 
-    def add(self, episode: Episode) -> None:
-        """Adds the next episode."""
+    def add(self, episode: Episode, place: str) -> None:
+        """Adds the next episode, and where it is in the recording."""
         self.lengths.append(len(episode))
+        self.places.append(place)
         for name, values in episode.vectors.items():
             low, high, total = values.min(axis=0), values.max(axis=0), values.sum(axis=0, dtype=np.float64)
             known = self.ranges.get(name)
@@ -75,9 +78,7 @@ class Sketch:
             self.image_samples.append(samples)
 
 
-def write_page(
-    path: Path, name: str, mapping: Mapping, recording: Recording, sketch: Sketch, notes: list[str]
-) -> None:
+def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sketch: Sketch, notes: list[str]) -> None:
     """Writes the page of an imported dataset. The notes are what may be wrong with it.
 
     Raises:
@@ -91,10 +92,7 @@ def write_page(
         f"{least if least == most else f'{least} to {most}'} samples.</p>",
     ]
     parts += [f'<p class="warning">{html.escape(note[0].upper() + note[1:])}.</p>' for note in notes]
-    if recording.left_out:
-        parts.append(
-            f'<p class="warning">{recording.left_out} samples are left out, because a stream has a gap there.</p>'
-        )
+    parts += [f'<p class="warning">{html.escape(line)}.</p>' for line in mapping.counts.lines]
     if recording.qualities:
         parts += _streams(recording.qualities)
     for modality, selection in mapping.selections.items():
@@ -103,7 +101,7 @@ def write_page(
         parts += _images(modality, sketch) if selection.size else _vector(modality, selection.unit, sketch)
     rows = "".join(
         f"<tr><td>{index}</td><td>{length}</td><td class='text'>{html.escape(place)}</td></tr>"
-        for index, (length, place) in enumerate(zip(sketch.lengths, recording.places, strict=True))
+        for index, (length, place) in enumerate(zip(sketch.lengths, sketch.places, strict=True))
     )
     parts.append(f"<h2>Episodes</h2><table><tr><th>episode</th><th>samples</th><td></td></tr>{rows}</table>")
     head = (

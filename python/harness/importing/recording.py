@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from tqdm import tqdm
 
 from .alignment import Plan, Quality, align, plan, wanted
-from .labels import Labeling
+from .labels import Labeling, number
 from .mapping import Columns, Mapping, MappingError, Sampling
-from .streams import Take, checked, seconds
+from .streams import NO_TIME, Take, checked, divided, seconds
+
+T = TypeVar("T")
+READERS = {"csv": "tables", "parquet": "tables"}
+"""The modules that read the streams of formats, if they are not called like the format."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +31,12 @@ class Recording:
     """Samples per second."""
     length: int
     """Number of episodes."""
-    episodes: Iterator[Columns]
-    """The values of the needed columns in each episode, [samples, …]."""
+    episodes: Iterator[Callable[[], Columns]]
+    """What reads the values of the needed columns in each episode, [samples, …]."""
     places: list[str]
     """Where each episode is in the recording."""
     qualities: list[Quality] = field(default_factory=list)
     """What is known about the times of each stream."""
-    left_out: int = 0
-    """Samples in no episode, because a stream has a gap there."""
     labels: list[dict[str, Any]] = field(default_factory=list)
     """The labels of each episode."""
 
@@ -45,23 +49,20 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
         FileNotFoundError: a file is missing.
         ImportError: a package is missing that reads the files.
     """
-    reader = importlib.import_module(f".{mapping.format}", __package__)
-
-    def takes() -> Iterator[Take]:
-        first = None
-        for take in reader.takes(mapping):
-            take = _checked(take, first, mapping, sampling)
-            first = first or take
-            yield take
-
+    takes = Takes(mapping, sampling)
     qualities = {name: Quality(name) for name in sampling.streams}
-    bar = tqdm(takes(), desc="reading times", unit=" takes", file=sys.stderr, disable=not progress)
+    bar = tqdm(takes, desc="reading times", unit=" takes", file=sys.stderr, disable=not progress)
     names, plans, labels = [], [], []
-    labeling = Labeling(mapping)
     for take in bar:
+        part = (number("from_s", sampling.begin_s, take.labels), number("to_s", sampling.end_s, take.labels))
+        planned = takes.tried(partial(plan, take, mapping, sampling, qualities, part)) or Plan([], 0, 0)
         names.append(take.name)
-        plans.append(plan(take, mapping, sampling, qualities))
-        labels += [labeling.of(take.name, take.labels)] * len(plans[-1].spans)
+        plans.append(planned)
+        labels += [take.labels] * len(planned.spans)
+        mapping.counts.note("samples are left out by from_s and to_s", take.name, planned.outside)
+        mapping.counts.note("samples are left out, because a stream has a gap there", take.name, planned.left_out)
+    if not labels and takes.errors:
+        raise next(iter(takes.errors.values()))
     places = [
         f"{name}, from {seconds(span.times(sampling.sample_rate_hz)[0])} s"
         for name, each in zip(names, plans, strict=True)
@@ -73,41 +74,90 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
         episodes=_episodes(takes, plans, mapping, sampling),
         places=places,
         qualities=list(qualities.values()),
-        left_out=sum(each.left_out for each in plans),
         labels=labels,
     )
 
 
-def _episodes(
-    takes: Callable[[], Iterator[Take]], plans: list[Plan], mapping: Mapping, sampling: Sampling
-) -> Iterator[Columns]:
-    for take, each in zip(takes(), plans, strict=True):
+def _episodes(takes: Takes, plans: list[Plan], mapping: Mapping, sampling: Sampling) -> Iterator[Callable[[], Columns]]:
+    for take, each in zip(takes, plans, strict=True):
         for span in each.spans:
-            yield align(take, span, mapping, sampling)
+            yield partial(align, take, span, mapping, sampling)
 
 
-def _checked(take: Take, first: Take | None, mapping: Mapping, sampling: Sampling) -> Take:
-    """Returns a take with the streams and columns that a mapping uses, with their final times.
+class Takes:
+    """The takes of a recording, which are opened anew each time. Bad ones are left out if the mapping says so."""
 
-    The columns are in the order of the first take, because files may list the same columns in different orders.
-    """
-    try:
-        columns = wanted(mapping.selections, take.columns)
-    except MappingError as error:
-        raise MappingError(f"{take.name}: {error}") from None
-    if first and columns != first.columns:
-        _check_equal(take, first, mapping)
-        columns = first.columns
-    used = {_stream_of(column) for column in columns}
-    return Take(
-        take.name,
-        {
-            name: checked(stream, sampling.streams[name], [each for each in columns if _stream_of(each) == name])
-            for name, stream in take.streams.items()
-            if name in used
-        },
-        take.labels,
-    )
+    def __init__(self, mapping: Mapping, sampling: Sampling):
+        self.mapping, self.sampling = mapping, sampling
+        self.errors: dict[str, Exception] = {}
+        """Why takes were left out."""
+        self._labeling = Labeling(mapping)
+        self._reader = importlib.import_module(f".{READERS.get(mapping.format, mapping.format)}", __package__)
+
+    def __iter__(self) -> Iterator[Take]:
+        first = None
+        for opened in self._reader.takes(self.mapping):
+            # An error would otherwise leave the file open.
+            with contextlib.closing(opened()) as takes:
+                while (take := self.tried(partial(next, takes, None))) is not None:
+                    for part in self.tried(partial(self._parts, take)) or []:
+                        whole = self.tried(partial(self._checked, part, first))
+                        if whole is not None:
+                            first = first or whole
+                            yield whole
+
+    def tried(self, step: Callable[[], T]) -> T | None:
+        """Returns what a step returns; None if it fails, and the mapping says that bad episodes are left out."""
+        try:
+            return step()
+        except (MappingError, FileNotFoundError) as error:
+            if not self.sampling.skip_bad:
+                raise
+            self.errors[str(error)] = error
+            self.mapping.counts.note(f"episode is left out: {error}", str(error), 1)
+            return None
+
+    def _parts(self, take: Take) -> list[Take]:
+        """Returns the parts of a take between which the times go back, if the mapping says that they are episodes."""
+        starts = {}
+        for name, stream in take.streams.items():
+            rows = np.flatnonzero(stream.times != NO_TIME)
+            starts[name] = np.append(0, rows[1:][np.diff(stream.times[rows]) < 0])
+        counts = {name: len(each) for name, each in starts.items()}
+        if self.sampling.steps_back != "split" or {*counts.values()} == {1}:
+            return [take]
+        if len({*counts.values()}) > 1:
+            told = ", ".join(f"that of {name} {count - 1} times" for name, count in counts.items())
+            raise MappingError(f"{take.name}: the time must go back as often in all streams to split them: {told}")
+        parts = {name: divided(starts[name], stream) for name, stream in take.streams.items()}
+        count = len(next(iter(starts.values())))
+        self.mapping.counts.note("episodes begin where the time goes back", take.name, count - 1)
+        return [
+            Take(f"{take.name}, part {index + 1}", {name: each[index] for name, each in parts.items()}, take.labels)
+            for index in range(count)
+        ]
+
+    def _checked(self, take: Take, first: Take | None) -> Take:
+        """Returns a take with its labels, and the streams and columns that a mapping uses, with their final times.
+
+        The columns are in the order of the first take, because files may list the same columns in different orders.
+        """
+        selections = self.mapping.selections
+        try:
+            columns = wanted(selections, take.columns)
+        except MappingError as error:
+            raise MappingError(f"{take.name}: {error}") from None
+        if first and columns != first.columns:
+            _check_equal(take, first, self.mapping)
+            columns = first.columns
+        labels = self._labeling.of(take.name, take.labels)
+        streams = {}
+        for name in dict.fromkeys(map(_stream_of, columns)):
+            settings, own = self.sampling.streams[name], [each for each in columns if _stream_of(each) == name]
+            offset_ns = round(number(f"streams.{name}.offset_s", settings.offset_s, labels) * 1e9)
+            is_sorted = self.sampling.steps_back == "sort"
+            streams[name] = checked(take.streams[name], settings, own, take.name, offset_ns, is_sorted)
+        return Take(take.name, {name: streams[name] for name in take.streams if name in streams}, labels)
 
 
 def _stream_of(column: str) -> str:

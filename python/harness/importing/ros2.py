@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path, PosixPath
 from typing import Any
 
@@ -30,28 +31,39 @@ ENCODINGS = {
     "8UC4": ("BGR", 4),
     "mono8": ("L", 1),
     "8UC1": ("L", 1),
+    "mono16": ("L", 1),
+    "16UC1": ("L", 1),
+    "32FC1": ("L", 1),
 }
 """The order of the channels and their number, for each encoding of a sensor_msgs/Image that can be read."""
+DEPTHS = {"mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
+"""The types of the numbers that are not of 8 bits."""
+PNG = b"\x89PNG"
+"""What the picture begins with in a compressed depth, after a header."""
 
 
-def takes(mapping: Mapping) -> Iterator[Take]:
-    """Yields the takes of bags: one of each bag, or one of each value of the topic `episode`.
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each bag: one, or one of each value of the topic `episode`."""
+    first: dict[str, BagStream] = {}
+    return [partial(_takes_of, mapping, path, first) for path in sources(mapping, SUFFIXES, MARKS, ("*.mcap", "*.db3"))]
+
+
+def _takes_of(mapping: Mapping, path: Path, first: dict[str, BagStream]) -> Iterator[Take]:
+    """Yields the takes of a bag. `first` has the streams of the first bag, or gets them.
 
     Raises:
-        MappingError: a bag is damaged, or does not fit the mapping.
+        MappingError: the bag is damaged, or does not fit the mapping.
     """
     assert mapping.sampling
     topic = mapping.sampling.divided_by.get("episode")
     terms = [term for selection in mapping.selections.values() for term in selection.terms]
-    first: dict[str, BagStream] = {}
-    for path in sources(mapping, SUFFIXES, MARKS, ("*.mcap", "*.db3")):
-        with opened(path) as bag:
-            streams = {
-                name: BagStream(bag, settings, terms, first.get(name))
-                for name, settings in mapping.sampling.streams.items()
-            }
-            first = first or streams
-            yield from [Take(str(path), {**streams})] if topic is None else _by_topic(bag, streams, topic)
+    with opened(path) as bag:
+        streams = {
+            name: BagStream(bag, settings, terms, first.get(name))
+            for name, settings in mapping.sampling.streams.items()
+        }
+        first.update({} if first else streams)
+        yield from [Take(str(path), {**streams})] if topic is None else _by_topic(bag, streams, topic)
 
 
 def _by_topic(bag: Bag, streams: dict[str, BagStream], topic: str) -> Iterator[Take]:
@@ -179,10 +191,12 @@ class BagStream(Stream):
         self._connection = bag.connection(topic, f"streams.{settings.name}.topic")
         self._prefix = f"{settings.name}."
         which = settings.where.get("time", "header")
+        self._frame_id = settings.where.get("frame_id")
         received, stamps = [], []
         first = None
         joints: dict[str, None] = {}
-        for row, (time, message) in enumerate(bag.messages(self._connection)):
+        frames: set[str] = set()
+        for row, (time, message) in enumerate(self._own(bag.messages(self._connection), frames)):
             if first is None:
                 first = message
                 self._names = self._names if first_bag else _names(message)
@@ -194,11 +208,16 @@ class BagStream(Stream):
             header = getattr(message, "header", None)
             if which == "header" and header is not None:
                 stamps.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
-                if stamps[-1] == 0:
+                # The clock of a simulation begins at 0.
+                if stamps[-1] == 0 and row > 0:
                     raise MappingError(
                         f"{self.place}: message {row}: its header has no time; say 'time: received' in streams."
                         f"{settings.name} to use the times at which the bag received the messages"
                     )
+        if first is None and frames:
+            raise MappingError(
+                f"{self.place}: no message has the frame_id '{self._frame_id}'; there are {', '.join(sorted(frames))}"
+            )
         if first is None:
             raise MappingError(f"{self.place}: holds no messages")
         self.arrivals = np.array(received, np.int64)
@@ -208,6 +227,15 @@ class BagStream(Stream):
         self.is_picture = self._connection.msgtype in (IMAGE, COMPRESSED)
         self.columns = [settings.name] if self.is_picture else self._columns(first, terms, list(joints))
         self._block: tuple[int, int, list[Any]] = (0, 0, [])
+
+    def _own(self, messages: Iterator[tuple[int, Any]], frames: set[str]) -> Iterator[tuple[int, Any]]:
+        """Yields the messages of the stream's frame, or all. Adds the frames of the others to a set."""
+        for time, message in messages:
+            frame = getattr(getattr(message, "header", None), "frame_id", "")
+            if self._frame_id in (None, frame):
+                yield time, message
+            else:
+                frames.add(frame)
 
     def _columns(self, message: Any, terms: list[str], joints: list[str]) -> list[str]:
         found = [f"{self._prefix}{path}" for path in fields(message)]
@@ -281,33 +309,37 @@ class BagStream(Stream):
         start, stop = int(self.arrivals[first]), int(self.arrivals[last - 1]) + 1
         # Several messages may have been received at once.
         before = int(np.searchsorted(self.arrivals, start))
-        messages = self._bag.messages(self._connection, start, stop, before)
+        messages = self._own(self._bag.messages(self._connection, start, stop, before), set())
         for row, (_, message) in enumerate(messages, before):
             if first <= row < last:
                 yield message
 
     def _picture(self, message: Any, row: int) -> Any:
         if self._connection.msgtype == COMPRESSED:
+            file: bytes = message.data.tobytes()
             if "compressedDepth" in message.format:
-                raise MappingError(
-                    f"{self.at(row)}: has the format '{message.format}', and a picture has 8 bits per channel; convert "
-                    "depths before the import with a fixed range, so that 0 and 255 mean the same in all"
-                )
-            return message.data.tobytes()
+                if not message.format.startswith("16UC1") or PNG not in file[:64]:
+                    raise MappingError(
+                        f"{self.at(row)}: has the format '{message.format}'; compressed depths can be read as "
+                        "16UC1 in PNG"
+                    )
+                return file[file.index(PNG) :]
+            return file
         if message.encoding not in ENCODINGS:
             raise MappingError(
                 f"{self.at(row)}: has the encoding '{message.encoding}'; those that can be read are "
                 f"{', '.join(ENCODINGS)}"
             )
         order, channels = ENCODINGS[message.encoding]
-        data, wide = np.asarray(message.data), message.width * channels
+        kind = np.dtype(DEPTHS.get(message.encoding, "u1"))
+        data, wide = np.asarray(message.data), message.width * channels * kind.itemsize
         if message.step < wide or len(data) < message.step * message.height or not wide * message.height:
             raise MappingError(
                 f"{self.at(row)}: has {len(data)} bytes for {message.height} x {message.width} pixels of {channels}"
             )
         picture = data[: message.step * message.height].reshape(message.height, message.step)[:, :wide]
         if channels == 1:
-            return np.ascontiguousarray(picture)
+            return np.ascontiguousarray(picture).view(kind.newbyteorder(">" if message.is_bigendian else "<"))
         picture = picture.reshape(message.height, message.width, channels)[..., :3]
         return np.ascontiguousarray(picture if order == "RGB" else picture[..., ::-1])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -18,6 +19,8 @@ LIMIT_NS = 2**62
 """The largest time, ns. It is 146 years."""
 RESOLUTION_S = 1e-3
 """How far apart two times may be that their type can just tell from each other, s."""
+NO_TIME = np.iinfo(np.int64).min
+"""Stands in the times of rows that have none."""
 CHUNK_ROWS = 65536
 """How many rows are read at once where a whole stream is searched."""
 
@@ -59,20 +62,27 @@ class Stream(ABC):
 
 
 class View(Stream):
-    """Some rows of another stream."""
+    """Some rows of another stream, in any order. Numbers in `missing` become NaN."""
 
-    def __init__(self, whole: Stream, rows: np.ndarray, times: np.ndarray | None = None):
+    def __init__(
+        self, whole: Stream, rows: np.ndarray, times: np.ndarray | None = None, missing: tuple[float, ...] = ()
+    ):
         self.whole, self.rows, self.place, self.columns = whole, rows, whole.place, whole.columns
         self.times = whole.times[rows] if times is None else times
         self.received = None if whole.received is None else whole.received[rows]
+        self.missing = missing
 
     def read(self, column: str, first: int, last: int) -> np.ndarray:
         rows = self.rows[first:last]
-        values: np.ndarray = self.whole.read(column, rows[0], rows[-1] + 1)[rows - rows[0]]
-        return values
+        begin = int(rows.min())
+        values: np.ndarray = self.whole.read(column, begin, int(rows.max()) + 1)[rows - begin]
+        return np.where(np.isin(values, self.missing), np.nan, values) if self.missing else values
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
-        return self.whole.pictures(column, self.rows[rows])
+        own = self.rows[rows]
+        if (np.diff(own) > 0).all():
+            return self.whole.pictures(column, own)
+        return itertools.chain.from_iterable(self.whole.pictures(column, own[[index]]) for index in range(len(own)))
 
     def at(self, row: int) -> str:
         return self.whole.at(int(self.rows[row]))
@@ -95,25 +105,31 @@ class Take:
         return [column for stream in self.streams.values() for column in stream.columns]
 
 
-def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
+def nanoseconds(values: np.ndarray, unit: int, at: Any, absent: np.ndarray | None = None) -> np.ndarray:
     """Returns times as int64, ns.
 
     Args:
         values: numbers, [rows].
         unit: nanoseconds in their unit.
         at: returns the place of a row.
+        absent: which rows have no time, bool [rows]. They get NO_TIME.
 
     Raises:
         MappingError: one is not a finite number, or larger than a time can be, or they are floats that can't tell times
             a millisecond apart.
     """
+    if absent is not None and absent.any():
+        times = np.full(len(values), NO_TIME)
+        rows = np.flatnonzero(~absent)
+        times[rows] = nanoseconds(values[rows], unit, lambda row: at(int(rows[row])))
+        return times
     with np.errstate(invalid="ignore"):
         wrong = ~(np.abs(values.astype(np.float64)) <= LIMIT_NS / unit)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise MappingError(
             f"{at(row)}: {values[row]} is no time; times are finite numbers in s, unless the stream has a time_unit of "
-            "ms, us or ns"
+            "ms, us or ns; to leave out rows without a time, say 'missing: skip'"
         )
     if values.dtype.kind in "iub":
         return values.astype(np.int64) * unit
@@ -126,6 +142,21 @@ def nanoseconds(values: np.ndarray, unit: int, at: Any) -> np.ndarray:
                 "store them as float64 or integers, or relative to the start"
             )
     return np.rint(values.astype(np.float64) * unit).astype(np.int64)
+
+
+def stamps(parts: list[np.ndarray], settings: StreamSettings, at: Any) -> np.ndarray:
+    """Returns the times of a stream, int64, ns, from numbers in its unit, or from seconds and nanoseconds.
+
+    Raises:
+        MappingError: as `nanoseconds`.
+    """
+    units = [settings.time_unit] if len(parts) == 1 else [10**9, 1]
+    absent = np.zeros(len(parts[0]), bool)
+    if settings.skip_missing:
+        for part in parts:
+            absent |= ~np.isfinite(part) | np.isin(part, settings.missing)
+    times = [nanoseconds(part, unit, at, absent) for part, unit in zip(parts, units, strict=True)]
+    return times[0] if len(times) == 1 else np.where(absent, NO_TIME, sum(times))
 
 
 def irregular(times: np.ndarray, period: float, rounding: float = 0.0) -> tuple[int, str] | None:
@@ -150,27 +181,43 @@ def regular(rows: int, rate_hz: float) -> np.ndarray:
     return np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64)
 
 
-def checked(stream: Stream, settings: StreamSettings, columns: list[str]) -> Stream:
+def checked(
+    stream: Stream, settings: StreamSettings, columns: list[str], place: str, offset_ns: int, is_sorted: bool
+) -> Stream:
     """Returns some columns of a stream, without missing values, and with the times that its settings say.
+
+    Args:
+        stream: the stream.
+        settings: its settings.
+        columns: the columns.
+        place: where it is noted what was left out.
+        offset_ns: is added to its times, ns.
+        is_sorted: whether rows are sorted by their times. Otherwise, a time that goes back is an error.
 
     Raises:
         MappingError: it has no rows, or its times go back.
     """
-    rows = np.arange(len(stream))
+    rows = np.flatnonzero(stream.times != NO_TIME)
     if settings.skip_missing:
-        rows = rows[_is_whole(stream, columns)]
+        rows = rows[_is_whole(View(stream, rows, missing=settings.missing), columns)]
+        settings.note("without a value or a time are left out", place, len(stream) - len(rows))
     if len(rows) == 0:
         raise MappingError(f"{stream.place}: holds no rows{' without missing values' * settings.skip_missing}")
     times = stream.times[rows]
     back = np.flatnonzero(np.diff(times) < 0)
-    if len(back):
+    if is_sorted and len(back):
+        settings.note("whose time goes back are sorted", place, len(back))
+        order = np.argsort(times, kind="stable")
+        rows, times = rows[order], times[order]
+    elif len(back):
         row = int(back[0])
         raise MappingError(
             f"{stream.at(int(rows[row + 1]))}: the time goes back from {seconds(times[row])} to "
-            f"{seconds(times[row + 1])} s; the rows of a stream must be in the order of time"
+            f"{seconds(times[row + 1])} s; 'steps_back: sort' sorts the rows by their times, and 'steps_back: split' "
+            "begins a new episode there"
         )
     start = times[0] if settings.begin_at_zero else 0
-    view = View(stream, rows, times - start + settings.offset_ns)
+    view = View(stream, rows, times - start + offset_ns, settings.missing)
     view.columns = columns
     if settings.begin_at_zero:
         view.received = None

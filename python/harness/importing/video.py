@@ -102,13 +102,10 @@ class Video(Stream):
 
     def _array(self, row: int) -> np.ndarray:
         components = self._picture.format.components
-        if len(components) == 1 and components[0].bits > 8:
-            raise MappingError(
-                f"{self.at(row)}: has pixels of the kind {self._picture.format.name}; a picture has 8 bits per channel; "
-                "convert the video before the import, depths with a fixed range, so that 0 and 255 mean the same in all"
-            )
+        # A depth becomes a picture by its range later.
+        is_deep = len(components) == 1 and components[0].bits > 8
         with blaming(self.at(row)):
-            array: np.ndarray = self._picture.to_ndarray(format="rgb24")
+            array: np.ndarray = self._picture.to_ndarray(format="gray16le" if is_deep else "rgb24")
         turns, rest = divmod(self._picture.rotation, 90)
         if rest:
             raise MappingError(

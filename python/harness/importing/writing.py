@@ -47,6 +47,8 @@ class Draft:
     """SHA-256 of its vectors and images."""
     elements: dict[str, list[str]]
     """The names of the elements of each vector."""
+    labels: dict[str, Any]
+    """Its labels."""
 
     @classmethod
     def write(cls, folder: Path, episode: Episode) -> Draft:
@@ -55,7 +57,7 @@ class Draft:
         with open(path, "wb") as file:
             for values in [episode.time, *episode.vectors.values(), *episode.images.values()]:
                 np.save(file, values, allow_pickle=False)
-        return cls(path, episode.index, len(episode), _digest(episode), episode.elements)
+        return cls(path, episode.index, len(episode), _digest(episode), episode.elements, episode.labels)
 
     def read(self, mapping: Mapping, labels: dict[str, Any]) -> Episode:
         """Reads the episode, and gives it labels."""
@@ -69,8 +71,8 @@ class Draft:
 def write_dataset(
     mapping: Mapping, recording: Recording, episodes: Iterable[Episode], results: Path, progress: bool
 ) -> str:
-    """Writes the dataset of a recording, and returns its name. If it is there already, only its missing and damaged files are written.
-    Has one episode at a time in memory.
+    """Writes the dataset of a recording, and returns its name. If it is there already, only its missing and damaged
+    files are written. Has one episode at a time in memory.
 
     Raises:
         MappingError: the episodes do not fit each other. Whatever `episodes` raises is raised as well.
@@ -79,7 +81,7 @@ def write_dataset(
     with _made(results), unfinished_folder(results, "import") as unfinished:
         unfinished.chmod(0o755)
         drafts = [Draft.write(unfinished, episode) for episode in episodes]
-        labels, kinds = unified(recording.labels)
+        labels, kinds = unified([draft.labels for draft in drafts])
         identity = _identity(mapping, recording.sample_rate_hz, drafts, labels, kinds)
         # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from .arrays import Arrays, takes_of
@@ -16,8 +16,8 @@ MARKS = ("zarr.json", ".zgroup", ".zmetadata")
 """Files at the top of a store."""
 
 
-def takes(mapping: Mapping) -> Iterator[Take]:
-    """Yields the takes of zarr stores."""
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the zarr stores."""
     return takes_of(mapping, sources(mapping, SUFFIXES, MARKS), opened)
 
 
