@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation, Slerp
 
 from harness.importing import MappingError, run_import
+from harness.importing.inspection import first_mapping, inspect
 
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 X = {"setpoint": "none", "x": "log.x"}
@@ -255,6 +256,20 @@ def test_parquet_numpy_and_tables_of_hdf5_are_streams(tmp_path):
         assert episode["pair_01"].to_list() == [0, -1, -2, -3], file
 
 
+def test_the_first_axis_of_arrays_may_count_the_episodes(tmp_path):
+    (tmp_path / "rec").mkdir()
+    values = np.arange(24.0).reshape(2, 4, 3)
+    values[1, 3] = np.nan  # the second episode is shorter
+    np.savez(tmp_path / "rec/a.npz", time=np.arange(4) / 10, x=values)
+    keys = {"format": "numpy", "streams": {"log": {"data": "x", "time": "time", "missing": "skip"}}}
+    episodes, cleaned = imported(tmp_path, modalities={"setpoint": "none", "x": "log"}, episodes="first_axis", **keys)
+    assert [each["x_01"].to_list() for each in episodes] == [[1, 4, 7, 10], [13, 16, 19]]
+    assert cleaned == [ONE] and [each["trial"][0] for each in episodes] == ["a.npz, episode 0", "a.npz, episode 1"]
+    keys["streams"]["log"]["data"] = "time"
+    with pytest.raises(MappingError, match=r"a.npz: 'episodes: first_axis' needs an array of \[episodes, rows, …\]"):
+        imported(tmp_path, modalities={"setpoint": "none", "x": "log"}, episodes="first_axis", **keys)
+
+
 def test_several_publishers_of_a_topic_and_a_simulated_clock(tmp_path):
     Time, Header = ROS2.types["builtin_interfaces/msg/Time"], ROS2.types["std_msgs/msg/Header"]
     Stamped, Vector = ROS2.types["geometry_msgs/msg/Vector3Stamped"], ROS2.types["geometry_msgs/msg/Vector3"]
@@ -272,3 +287,32 @@ def test_several_publishers_of_a_topic_and_a_simulated_clock(tmp_path):
     streams["log"]["frame_id"] = "top"
     with pytest.raises(MappingError, match="/imu: no message has the frame_id 'top'; there are left, right"):
         imported(tmp_path, format="ros2", streams=streams, modalities=modalities)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "keys", "expected"),
+    [
+        (
+            "a.csv",
+            "t,x\nms,N\n0,0\n100,NA\n200,2\n300,3\n",
+            ["units_row: true", 'missing_values: ["NA"]', 'unit: "N"'],
+            [0, 0, 2, 3],
+        ),
+        ("a.csv.gz", gzip.compress(f"t,x\n{ROWS}".encode()), ["file: a.csv.gz"], [0, 1, 2, 3]),
+        ("a.txt", f"t   x\n{ROWS.replace(',', '   ')}", ["file: a.txt"], [0, 1, 2, 3]),
+    ],
+    ids=["units and missing values", "compressed", "white space"],
+)
+def test_the_first_mapping_of_an_odd_table_can_be_imported(tmp_path, name, content, keys, expected):
+    source = written(tmp_path, content, name) / "rec"
+    mapping = first_mapping(inspect(source), source, tmp_path)
+    assert all(key in mapping for key in keys), mapping
+    (tmp_path / "first.yaml").write_text(mapping)
+    done = run_import(tmp_path / "first.yaml", tmp_path / "results", progress=False)
+    (episode,) = (pl.read_parquet(path) for path in (tmp_path / "results/datasets" / done.name).glob("*.parquet"))
+    assert episode[:, -1].to_list() == expected
+
+
+def test_the_first_mapping_of_a_table_without_a_header_says_what_is_missing(tmp_path):
+    source = written(tmp_path, "1,0\n2,1\n3,2\n") / "rec"
+    assert "{file: a.csv, header: none, rate_hz: }" in first_mapping(inspect(source), source, tmp_path)

@@ -20,6 +20,8 @@ PACKING = {"scale_factor": 1, "add_offset": 0}
 """Attributes by which netCDF, which is HDF5, changes the stored numbers, with their values that change nothing."""
 MISSING = "_FillValue"
 """The attribute with the number that netCDF stores where there is no value."""
+FIRST_AXIS = "first_axis"
+"""The value of `episodes` for arrays whose first axis counts the episodes."""
 BLOCK_BYTES = 2**25
 """How much of an array of pictures is read at once."""
 
@@ -52,6 +54,12 @@ def _takes_of(mapping: Mapping, path: Path, opened: Opened, by_rows: bool) -> It
     streams, division = mapping.sampling.streams, mapping.sampling.divided_by
     with opened(path) as arrays:
         arrays = dict(_plain(arrays))
+        if division.get("episodes") == FIRST_AXIS:
+            for index in range(_length(str(path), arrays, streams)):
+                place = f"{path}, episode {index}"
+                own = {name: _sliced(array, index) for name, array in arrays.items()}
+                yield Take(place, {name: _stream(place, ": ", each, own, by_rows) for name, each in streams.items()})
+            return
         if "episodes" in division:
             for group, members in _groups(str(path), arrays, division["episodes"]):
                 place = f"{path}: {group}"
@@ -68,6 +76,25 @@ def _plain(arrays: Arrays) -> Iterator[tuple[str, Any]]:
     for name, array in arrays.items():
         fields = getattr(array.dtype, "names", None)
         yield from [(f"{name}/{field}", _Field(array, field)) for field in fields] if fields else [(name, array)]
+
+
+def _length(place: str, arrays: Arrays, streams: dict[str, StreamSettings]) -> int:
+    """Returns the number of episodes in arrays whose first axis counts them."""
+    settings = next(iter(streams.values()))
+    data = settings.where["data"].strip("/")
+    shapes = [array.shape for name, array in arrays.items() if name == data or f"{name}/".startswith(f"{data}/")]
+    shapes = [shape for shape in shapes if len(shape) > 1]
+    if not shapes:
+        raise MappingError(
+            f"{place}: 'episodes: {FIRST_AXIS}' needs an array of [episodes, rows, …] for streams.{settings.name}.data; "
+            + _listing(arrays)
+        )
+    return int(shapes[0][0])
+
+
+def _sliced(array: Any, episode: int) -> Any:
+    """Returns an episode of an array whose first axis counts them. A vector is the same in all, as times may be."""
+    return array[episode] if len(array.shape) > 1 and episode < array.shape[0] else array
 
 
 class _Field:

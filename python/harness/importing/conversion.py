@@ -42,7 +42,9 @@ def episode_of(
     if samples < 2:
         left_out = " after its first row, which is left out" if shift else ""
         noun = "sample" if samples == 1 else "samples"
-        raise MappingError(f"it has {samples} {noun}{left_out}; it must have 2 or more")
+        raise MappingError(
+            f"it has {samples} {noun}{left_out}; it must have 2 or more; 'bad_episodes: skip' leaves out such episodes"
+        )
     vectors = {name: each.pick(columns) for name, each in selections.items() if each.size is None}
     elements = {name: selections[name].elements(columns, values.shape[1]) for name, values in vectors.items()}
     vectors = {name: values[:samples] if name == "setpoint" else values[shift:] for name, values in vectors.items()}

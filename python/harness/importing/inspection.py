@@ -19,7 +19,7 @@ from harness import _harness
 
 from . import hdf5, matlab, numpy, parquet, ros2, tables, zarr
 from .arrays import Arrays
-from .mapping import KNOWN, NAME, UNITS, MappingError, StreamSettings, Text
+from .mapping import KNOWN, NAME, UNITS, MappingError, StreamSettings, Text, header_hint
 from .recording import duration
 from .streams import NO_TIME, blaming, natural
 from .video import VIDEOS, Folder, Video
@@ -37,7 +37,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 """What a number looks like in a text."""
 PLAIN = re.compile(r"(\.{1,2}/)*[A-Za-z_/][A-Za-z0-9_/.-]*")
 """Texts that need no quotes in a mapping, besides words such as `true`."""
-TABLES = (".csv", ".txt", ".tsv")
+TABLES = (".csv", ".txt", ".tsv", ".gz")
 """What the names of tables end in."""
 MISSING_WORDS = 5
 """More different words among the numbers of a table are no marks of missing values."""
@@ -416,9 +416,11 @@ def _kind(path: Path) -> Any:
 
 def _cleaned(file: Path) -> tuple[tables.Table, dict[str, str], str]:
     """Returns a table without its units and missing values, the units, and the keys of its stream for both."""
-    table = tables.Table(file)
+    names = re.split(r"[,;\s]+", tables.header(file)[1].strip())
+    header = "none" if header_hint(names) else ""
+    table = tables.Table(file, Text(header))
     units = _units(table)
-    table = tables.Table(file, Text(has_units=True)) if units else table
+    table = tables.Table(file, Text(header, has_units=True)) if units else table
     words: set[str] = set()
     lacks_some = False
     for name in table.names:
@@ -431,9 +433,9 @@ def _cleaned(file: Path) -> tuple[tables.Table, dict[str, str], str]:
     words -= {*tables.BOOLEANS}
     if len(words) > MISSING_WORDS:
         words = set()
-    keys = "units_row: true, " * bool(units) + "missing: skip, " * lacks_some
+    keys = "header: none, " * bool(header) + "units_row: true, " * bool(units) + "missing: skip, " * lacks_some
     keys += f"missing_values: {json.dumps(sorted(words), ensure_ascii=False)}, " if words else ""
-    return tables.Table(file, Text(has_units=bool(units), missing=tuple(words))), units, keys
+    return tables.Table(file, Text(header, bool(units), missing=tuple(words))), units, keys
 
 
 def _units(table: tables.Table) -> dict[str, str]:

@@ -62,6 +62,7 @@ class Labeling:
             MappingError: its name does not match the pattern, or the table has not exactly one row for it.
         """
         name = place.removeprefix(f"{self.folder}/")
+        name = name.removesuffix(".gz")
         name, part = name.rsplit(PART, 1) if PART in name else (name, "")
         plain = str(Path(name).with_suffix("")) if re.search(r"\.[A-Za-z]\w*$", name) else name
         labels: dict[str, Any] = {TRIAL: plain + (PART + part if part else "")} | {

@@ -109,7 +109,7 @@ def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:
     episodes = keys[what.episode]
     is_next = (episodes == episodes.shift()).fill_null(False).to_numpy()
     is_whole = (values == np.rint(values)).all()
-    periods = _periods(np.diff(values)[is_next[1:]], units, is_whole, what)
+    periods = _periods(np.diff(values)[is_next[1:]], units, is_whole, what, files[0])
     starts = np.flatnonzero(~is_next).tolist()
 
     def problem(period: float) -> tuple[int, str] | None:
@@ -126,7 +126,7 @@ def _check_order(files: list[Path], keys: pl.DataFrame, what: Rows) -> None:
         raise MappingError(
             f"order: {_at(files, places[row])}: the row with {what.order} {keys[what.order][row]} of episode "
             f"{episodes[row]} {how} at sample_rate_hz {what.sample_rate_hz:g}; each row is a sample, and none may "
-            "be missing; if they have times, write them to a CSV file, whose rows are aligned by their times"
+            "be missing; if they have times, use 'streams', whose rows are aligned by their times"
         )
 
 
@@ -149,7 +149,7 @@ def _numbers(order: pl.Series) -> tuple[np.ndarray, tuple[str, ...]]:
     )
 
 
-def _periods(steps: np.ndarray, units: tuple[str, ...], is_whole: bool, what: Rows) -> list[float]:
+def _periods(steps: np.ndarray, units: tuple[str, ...], is_whole: bool, what: Rows, file: Path) -> list[float]:
     """Returns what `order` may grow by from a sample to the next, the nearest first: 1 if it counts them, otherwise
     their period as a time.
 
@@ -169,7 +169,7 @@ def _periods(steps: np.ndarray, units: tuple[str, ...], is_whole: bool, what: Ro
     rates = {unit: 1e9 / UNITS[unit] / typical for unit in units}
     fitting = [f"{rate:.4g} if it is in {unit}" for unit, rate in rates.items() if 0.01 <= rate <= 1000]
     raise MappingError(
-        f"order: '{what.order}' grows by {typical:g} from row to row, which does not fit sample_rate_hz "
+        f"order: {file}: '{what.order}' grows by {typical:g} from row to row, which does not fit sample_rate_hz "
         f"{what.sample_rate_hz:g}: a counter grows by 1, and a time by {' or '.join(allowed)}; "
         f"write the rate of the rows{', which is ' * bool(fitting)}{', and '.join(fitting)}"
     )
