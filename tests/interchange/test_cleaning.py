@@ -40,13 +40,13 @@ def written(folder: Path, text: str | bytes, name: str = "a.csv") -> Path:
 
 
 ROWS = "0.0,0\n0.1,1\n0.2,2\n0.3,3\n"
-ONE = "1 rows of streams.log without a value or a time are left out"
+ONE = "rows of streams.log left out, without a value or a time: 1"
 TEXTS = {
     "texts that are missing values": (
         "t,x\n0.0,0\n0.1,NA\n0.2,2\n0.3,-\n0.4,4\n",
         {"missing_values": ["NA", "-"], "missing": "skip"},
         [0, 0, 2, 2, 4],
-        "2 rows of",
+        ONE.replace("1", "2"),
     ),
     "a number that is a missing value": (
         "t,x\n0.0,0\n0.1,-9999.0\n0.2,2\n",
@@ -54,7 +54,7 @@ TEXTS = {
         [0, 0, 2],
         ONE,
     ),
-    "blank lines": ("t,x\n0.0,0\n\n0.1,1\n0.2,2\n\n", {"missing": "skip"}, [0, 1, 2], "2 rows of"),
+    "blank lines": ("t,x\n0.0,0\n\n0.1,1\n0.2,2\n\n", {"missing": "skip"}, [0, 1, 2], ONE.replace("1", "2")),
     "an empty stamp": ("t,x\n0.0,0\n,9\n0.1,1\n0.2,2\n", {"missing": "skip"}, [0, 1, 2], ONE),
     "no header": (ROWS, {"header": "none", "time": "column_1"}, [0, 1, 2, 3], ""),
     "a header below other lines": (f"device 7\n1,2,3\nt,x\n{ROWS}", {"header": 3}, [0, 1, 2, 3], ""),
@@ -105,12 +105,12 @@ def test_times_that_go_back_are_refused_sorted_or_split(tmp_path):
         imported(tmp_path)
     (episode,), cleaned = imported(tmp_path, steps_back="sort")
     assert episode["x_00"].to_list() == [0, 1, 2, 3]
-    assert cleaned == ["1 rows of streams.log whose time goes back are sorted"]
+    assert cleaned == ["rows of streams.log that are sorted, because their time goes back: 1"]
     written(tmp_path, "t,x\n0.0,0\n0.1,1\n0.2,2\n0.0,5\n0.1,6\n")
     episodes, cleaned = imported(tmp_path, steps_back="split")
     assert [each["x_00"].to_list() for each in episodes] == [[0, 1, 2], [5, 6]]
     assert [each["trial"][0] for each in episodes] == ["a, part 1", "a, part 2"]
-    assert cleaned == ["1 episodes begin where the time goes back"]
+    assert cleaned == ["places where the time goes back, at which episodes are split: 1"]
 
 
 def test_a_part_of_each_trial_is_kept_as_a_table_says(tmp_path):
@@ -120,7 +120,7 @@ def test_a_part_of_each_trial_is_kept_as_a_table_says(tmp_path):
     keys = {"episodes": "trials.csv", "from_s": "start", "to_s": 0.6}
     episodes, cleaned = imported(tmp_path, **keys)
     assert [each["x_00"].to_list() for each in episodes] == [[2, 3, 4, 5, 6], [3, 4, 5, 6]]
-    assert cleaned == ["11 samples are left out by from_s and to_s, in 2 recordings"]
+    assert cleaned == ["samples left out by from_s and to_s: 11, in 2 recordings"]
     streams = {"log": LOG, "late": LOG | {"offset_s": "late"}}
     episodes, _ = imported(tmp_path, episodes="trials.csv", streams=streams, modalities=X | {"y": "late.x"})
     assert [(each["y_00"] - each["x_00"]).to_list()[0] for each in episodes] == [-1, 0]
@@ -143,7 +143,7 @@ def test_bad_episodes_are_left_out_and_named(tmp_path):
         imported(tmp_path)
     episodes, cleaned = imported(tmp_path, bad_episodes="skip")
     assert [each["trial"][0] for each in episodes] == ["a", "f"]
-    assert len(cleaned) == 4 and all(line.startswith("1 episode is left out: ") for line in cleaned)
+    assert len(cleaned) == 4 and all(line.startswith("episode left out: ") for line in cleaned)
     for part in ("b.csv", "c.csv: line 3", "d.csv: line 2", "e.csv: line 1"):
         assert sum(part in line for line in cleaned) == 1, part
     for name in ("a.csv", "f.csv"):

@@ -182,7 +182,7 @@ def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch
                     message = f"{place}: episode {count}: {error}"
                     if mapping.text.get("bad_episodes") != "skip":
                         raise MappingError(message) from None
-                    mapping.counts.note(f"episode is left out: {message}", message, 1)
+                    mapping.counts.note_episode(message)
                     continue
                 count += 1
                 episode.labels.update(labels)

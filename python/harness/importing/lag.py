@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from .labels import TRIAL, number
-from .mapping import Mapping, MappingError, Selection
+from .mapping import Mapping, MappingError, Sampling, Selection
 from .recording import Takes, duration
-from .streams import needing
+from .streams import Take, needing
 
 WINDOWS = 8
 """In how many parts a trial is divided for the interval and the drift, if it is long enough."""
@@ -57,7 +59,7 @@ def lags(path: Path, terms: tuple[str, str], longest_s: float) -> list[Lag]:
     selections = {name: Selection(name, (term,), None) for name, term in zip(("A", "B"), terms, strict=True)}
     mapping = dataclasses.replace(mapping, selections=selections)
     found = []
-    for take in Takes(mapping, sampling):
+    for take in _takes(mapping, sampling):
         series = []
         for term, selection in zip(terms, selections.values(), strict=True):
             (column, *others) = selection.columns(take.columns)
@@ -70,6 +72,14 @@ def lags(path: Path, terms: tuple[str, str], longest_s: float) -> list[Lag]:
         before = number(f"streams.{name}.offset_s", sampling.streams[name].offset_s, take.labels)
         found.append(_lag(str(take.labels[TRIAL]), series[0], series[1], longest_s, before))
     return found
+
+
+def _takes(mapping: Mapping, sampling: Sampling) -> Iterator[Take]:
+    """Yields the takes of a recording, of which only the two columns are read."""
+    try:
+        yield from Takes(mapping, sampling)
+    except MappingError as error:
+        raise MappingError(re.sub(r"modalities\.[AB]: ", "--lag: ", str(error))) from None
 
 
 Series = tuple[np.ndarray, np.ndarray]
@@ -116,15 +126,20 @@ def _lag(trial: str, first: Series, second: Series, longest_s: float, before_s: 
 
 def _peak(a: np.ndarray, b: np.ndarray, most: int) -> tuple[float, float]:
     """Returns the delay at which b resembles a most, samples, and the absolute correlation there."""
-    from scipy.signal import correlate
+    from scipy.signal import correlate, detrend
 
+    # A trend resembles itself at any delay.
+    plain = (a, b)
+    a, b = detrend(a), detrend(b)
+    if any(each.std() <= 1e-9 * np.abs(whole).max() for each, whole in zip((a, b), plain, strict=True)):
+        return 0.0, 0.0
     inner = a[most : len(a) - most] - a[most : len(a) - most].mean()
     length = len(inner)
     sums, squares = (np.cumsum(np.append(0.0, each)) for each in (b - b.mean(), (b - b.mean()) ** 2))
     energy = (squares[length:] - squares[:-length]) - (sums[length:] - sums[:-length]) ** 2 / length
     norm = np.sqrt(np.maximum(energy, 0.0) * (inner**2).sum())
     products = np.abs(correlate(b - b.mean(), inner, mode="valid"))
-    found = np.divide(products, norm, out=np.zeros_like(products), where=norm > 1e-12 * norm.max(initial=0.0))
+    found = np.divide(products, norm, out=np.zeros_like(products), where=norm > 1e-6 * norm.max())
     best = int(found.argmax())
     if not 0 < best < len(found) - 1:
         return float(best - most), float(found[best])

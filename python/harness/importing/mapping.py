@@ -256,17 +256,23 @@ class Counts:
 
     def __init__(self) -> None:
         self._by_what: dict[str, dict[str, int]] = {}
+        self._episodes: dict[str, None] = {}
 
     def note(self, what: str, place: str, count: int) -> None:
         """Notes how much it was at a place, which may be read several times."""
         if count:
             self._by_what.setdefault(what, {})[place] = count
 
+    def note_episode(self, reason: str) -> None:
+        """Notes that an episode is left out, and why."""
+        self._episodes[reason] = None
+
     @property
     def lines(self) -> list[str]:
         """What was done, with the sum over all places."""
         sums = [(what, sum(places.values()), len(places)) for what, places in self._by_what.items()]
-        return [f"{count} {what}" + f", in {places} recordings" * (places > 1) for what, count, places in sums]
+        counted = [f"{what}: {count}" + f", in {places} recordings" * (places > 1) for what, count, places in sums]
+        return counted + [f"episode left out: {reason}" for reason in self._episodes]
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,8 @@ def open_streams(mapping: Mapping, sampling: Sampling, progress: bool) -> Record
         names.append(take.name)
         plans.append(planned)
         labels += [take.labels] * len(planned.spans)
-        mapping.counts.note("samples are left out by from_s and to_s", take.name, planned.outside)
-        mapping.counts.note("samples are left out, because a stream has a gap there", take.name, planned.left_out)
+        mapping.counts.note("samples left out by from_s and to_s", take.name, planned.outside)
+        mapping.counts.note("samples left out, because a stream has a gap there", take.name, planned.left_out)
     if not labels and takes.errors:
         raise next(iter(takes.errors.values()))
     places = [
@@ -114,7 +114,7 @@ class Takes:
             if not self.sampling.skip_bad:
                 raise
             self.errors[str(error)] = error
-            self.mapping.counts.note(f"episode is left out: {error}", str(error), 1)
+            self.mapping.counts.note_episode(str(error))
             return None
 
     def _parts(self, take: Take) -> list[Take]:
@@ -131,7 +131,7 @@ class Takes:
             raise MappingError(f"{take.name}: the time must go back as often in all streams to split them: {told}")
         parts = {name: divided(starts[name], stream) for name, stream in take.streams.items()}
         count = len(next(iter(starts.values())))
-        self.mapping.counts.note("episodes begin where the time goes back", take.name, count - 1)
+        self.mapping.counts.note("places where the time goes back, at which episodes are split", take.name, count - 1)
         return [
             Take(f"{take.name}, part {index + 1}", {name: each[index] for name, each in parts.items()}, take.labels)
             for index in range(count)

@@ -200,13 +200,13 @@ def checked(
     rows = np.flatnonzero(stream.times != NO_TIME)
     if settings.skip_missing:
         rows = rows[_is_whole(View(stream, rows, missing=settings.missing), columns)]
-        settings.note("without a value or a time are left out", place, len(stream) - len(rows))
+        settings.note("left out, without a value or a time", place, len(stream) - len(rows))
     if len(rows) == 0:
         raise MappingError(f"{stream.place}: holds no rows{' without missing values' * settings.skip_missing}")
     times = stream.times[rows]
     back = np.flatnonzero(np.diff(times) < 0)
     if is_sorted and len(back):
-        settings.note("whose time goes back are sorted", place, len(back))
+        settings.note("that are sorted, because their time goes back", place, len(back))
         order = np.argsort(times, kind="stable")
         rows, times = rows[order], times[order]
     elif len(back):
