@@ -270,6 +270,25 @@ def test_the_first_axis_of_arrays_may_count_the_episodes(tmp_path):
         imported(tmp_path, modalities={"setpoint": "none", "x": "log"}, episodes="first_axis", **keys)
 
 
+def test_attributes_of_files_and_groups_are_labels(tmp_path):
+    (tmp_path / "rec").mkdir()
+    with h5py.File(tmp_path / "rec/a.h5", "w") as file:
+        file.attrs.update({"Robot": "hand 2", "_NCProperties": "x", "gains": [1.0, 2.0]})
+        for name, mass in (("demo_0", 0.5), ("demo_1", 2)):
+            file[f"{name}/t"], file[f"{name}/x"] = np.arange(3) / 10, np.arange(3.0)
+            file[name].attrs["mass"] = mass
+    keys = {"streams": {"log": {"data": "x", "time": "t"}}, "modalities": {"setpoint": "none", "x": "log"}}
+    episodes, _ = imported(tmp_path, format="hdf5", episodes="demo_*", **keys)
+    assert [each.select("trial", "robot", "mass").row(0) for each in episodes] == [
+        ("a.h5: demo_0", "hand 2", 0.5),
+        ("a.h5: demo_1", "hand 2", 2.0),
+    ]
+    assert "ncproperties" not in episodes[0].columns and "gains" not in episodes[0].columns
+    np.savez(tmp_path / "rec/b.npz", t=np.arange(3) / 10, x=np.arange(3), object="book", mass=np.float32(0.25))
+    (episode,), _ = imported(tmp_path, format="numpy", source="rec/b.npz", **keys)
+    assert episode.select("object", "mass").row(0) == ("book", 0.25)
+
+
 def test_several_publishers_of_a_topic_and_a_simulated_clock(tmp_path):
     Time, Header = ROS2.types["builtin_interfaces/msg/Time"], ROS2.types["std_msgs/msg/Header"]
     Stamped, Vector = ROS2.types["geometry_msgs/msg/Vector3Stamped"], ROS2.types["geometry_msgs/msg/Vector3"]

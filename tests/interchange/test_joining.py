@@ -296,7 +296,7 @@ ROW_CASES: dict[str, tuple[pl.DataFrame, str]] = {
     ),
     "a rate of 20 Hz": (
         rows(INDEX * 50),
-        "order: 't' grows by 50 from row to row, which does not fit sample_rate_hz 10: a counter grows by 1, and a "
+        "a.parquet: 't' grows by 50 from row to row, which does not fit sample_rate_hz 10: a counter grows by 1, and a "
         r"time by 0.1 s or 100 ms or 100000 us or 1e\+08 ns; write the rate of the rows, .* 20 if it is in ms",
     ),
     "dates at 20 Hz": (

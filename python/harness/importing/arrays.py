@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,6 @@ import numpy as np
 from .mapping import Mapping, MappingError, StreamSettings
 from .streams import Stream, Take, blaming, changes, divided, natural, regular, stamps
 
-Arrays = dict[str, Any]
-"""Arrays by their path in a file, such as `observations/qpos`. Each has a shape, a dtype, and slices that are read."""
 PACKING = {"scale_factor": 1, "add_offset": 0}
 """Attributes by which netCDF, which is HDF5, changes the stored numbers, with their values that change nothing."""
 MISSING = "_FillValue"
@@ -24,6 +23,19 @@ FIRST_AXIS = "first_axis"
 """The value of `episodes` for arrays whose first axis counts the episodes."""
 BLOCK_BYTES = 2**25
 """How much of an array of pictures is read at once."""
+INTERNAL = ("CLASS", "TITLE", "VERSION", "FILTERS", "PYTABLES_FORMAT_VERSION")
+"""Attributes that libraries write for themselves, besides those that begin with _."""
+LABEL_LETTERS = 200
+"""Longer attributes are no labels."""
+
+
+class Arrays(dict[str, Any]):
+    """Arrays by their path in a file, such as `observations/qpos`. Each has a shape, a dtype, and slices that are read."""
+
+    def __init__(self, arrays: dict[str, Any], attributes: Callable[[str], Any] = lambda group: {}):
+        """`attributes` returns those of a group by its path, of which the whole file is the empty one."""
+        super().__init__(arrays)
+        self.attributes = attributes
 
 
 Opened = Callable[[Path], AbstractContextManager[Arrays]]
@@ -52,23 +64,37 @@ def _takes_of(mapping: Mapping, path: Path, opened: Opened, by_rows: bool) -> It
     """
     assert mapping.sampling
     streams, division = mapping.sampling.streams, mapping.sampling.divided_by
-    with opened(path) as arrays:
-        arrays = dict(_plain(arrays))
+    with opened(path) as file:
+        labels, arrays = _labels(file, ""), Arrays(dict(_plain(file)))
         if division.get("episodes") == FIRST_AXIS:
             for index in range(_length(str(path), arrays, streams)):
                 place = f"{path}, episode {index}"
-                own = {name: _sliced(array, index) for name, array in arrays.items()}
-                yield Take(place, {name: _stream(place, ": ", each, own, by_rows) for name, each in streams.items()})
+                own = Arrays({name: _sliced(array, index) for name, array in arrays.items()})
+                parts = {name: _stream(place, ": ", each, own, by_rows) for name, each in streams.items()}
+                yield Take(place, parts, labels)
             return
         if "episodes" in division:
             for group, members in _groups(str(path), arrays, division["episodes"]):
                 place = f"{path}: {group}"
-                own = {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()}
-                yield Take(place, own)
+                parts = {name: _stream(place, "/", each, members, by_rows) for name, each in streams.items()}
+                yield Take(place, parts, labels | _labels(file, group))
             return
         whole = {name: _stream(str(path), ": ", each, arrays, by_rows) for name, each in streams.items()}
         key = next((key for key in ("episode", "episode_ends") if key in division), None)
-        yield from [Take(str(path), whole)] if key is None else _by_rows(path, whole, arrays, key, division[key])
+        found = [Take(str(path), whole)] if key is None else _by_rows(path, whole, arrays, key, division[key])
+        yield from (replace(take, labels=labels) for take in found)
+
+
+def _labels(file: Arrays, group: str) -> dict[str, Any]:
+    """Returns the attributes of a group that are texts or numbers."""
+    found = {}
+    for name, value in dict(file.attributes(group)).items():
+        value = value.item() if isinstance(value, np.generic | np.ndarray) and value.size == 1 else value
+        value = value.decode(errors="replace") if isinstance(value, bytes) else value
+        is_label = isinstance(value, str | int | float) and len(str(value)) <= LABEL_LETTERS
+        if is_label and name not in INTERNAL and not name.startswith("_"):
+            found[name] = value
+    return found
 
 
 def _plain(arrays: Arrays) -> Iterator[tuple[str, Any]]:
@@ -118,7 +144,10 @@ def _groups(place: str, arrays: Arrays, pattern: str) -> Iterator[tuple[str, Arr
         raise MappingError(f"{place}: no group matches '{pattern}' of the key 'episodes'; {_listing(arrays)}")
     for name in sorted(dict.fromkeys(names), key=lambda name: natural(Path(name))):
         prefix = f"{name}/"
-        yield name, {path.removeprefix(prefix): array for path, array in arrays.items() if path.startswith(prefix)}
+        yield (
+            name,
+            Arrays({path.removeprefix(prefix): array for path, array in arrays.items() if path.startswith(prefix)}),
+        )
 
 
 def _by_rows(path: Path, streams: dict[str, Stream], arrays: Arrays, key: str, name: str) -> Iterator[Take]:

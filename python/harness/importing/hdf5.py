@@ -34,7 +34,8 @@ def opened(path: Path) -> Iterator[Arrays]:
     with file:
         with blaming(str(path)):
             found = {name: item for name, item in _datasets(file) if item.shape is not None}
-        yield {name: found[name] for name in sorted(found, key=lambda name: natural(Path(name)))}
+        names = sorted(found, key=lambda name: natural(Path(name)))
+        yield Arrays({name: found[name] for name in names}, lambda group: file[group or "/"].attrs)
 
 
 def members(group: Any) -> Iterator[tuple[str, Any]]:

@@ -46,7 +46,7 @@ def opened(path: Path) -> Iterator[Arrays]:
         with opened_file:
             with blaming(str(path)):
                 found = dict(_of_hdf5(opened_file, "", opened_file, h5py))
-            yield found
+            yield Arrays(found)
         return
     with needing("scipy", "MATLAB files"):
         from scipy.io import loadmat
@@ -58,7 +58,7 @@ def opened(path: Path) -> Iterator[Arrays]:
             if not name.startswith("__")
             for place, array in _of_scipy(name, value)
         }
-    yield found
+    yield Arrays(found)
 
 
 def _of_scipy(place: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:

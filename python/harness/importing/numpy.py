@@ -23,7 +23,7 @@ def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Arrays]:
-    """Opens the arrays of a file. Objects are not read, because reading them could run a program.
+    """Opens the arrays of a file, of which single values are its attributes. Objects are not read, because reading them could run a program.
 
     Raises:
         MappingError: it is no NumPy file, or damaged.
@@ -36,7 +36,8 @@ def opened(path: Path) -> Iterator[Arrays]:
                 found = {
                     name: array for name in sorted(file.files, key=_order) if (array := _read(file, name)) is not None
                 }
-    yield found
+    single = {name: array for name, array in found.items() if array.ndim == 0}
+    yield Arrays({name: array for name, array in found.items() if array.ndim}, lambda group: {} if group else single)
 
 
 def _order(name: str) -> list[object]:

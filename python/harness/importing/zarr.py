@@ -42,4 +42,5 @@ def opened(path: Path) -> Iterator[Arrays]:
             if not isinstance(root, zarr.Group):
                 raise MappingError(f"{path}: is a single array; a recording is a group of arrays")
             found = {name: item for name, item in root.members(max_depth=None) if isinstance(item, zarr.Array)}
-        yield {name: found[name] for name in sorted(found, key=lambda name: natural(Path(name)))}
+        names = sorted(found, key=lambda name: natural(Path(name)))
+        yield Arrays({name: found[name] for name in names}, lambda group: (root[group] if group else root).attrs)
