@@ -224,7 +224,7 @@ def test_images_are_swapped_cropped_and_depths_have_a_range(tmp_path):
         imported(tmp_path, format="hdf5", streams=streams, modalities=modalities)
     for row in range(4):
         Image.fromarray(depth).save(tmp_path / f"rec/frames/{row}.png")
-    streams = {"far": {"file": "frames", "rate_hz": 10}, "log": LOG}
+    streams = {"far": {"file": "frames", "rate_hz": 10, "missing": "skip"}, "log": LOG}
     written(tmp_path, f"t,x\n{ROWS}")
     modalities = X | {"far": {"from": "far", "size": [1, 2], "range": [500, 2500]}}
     (episode,), _ = imported(tmp_path, streams=streams, modalities=modalities)

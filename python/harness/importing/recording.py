@@ -151,12 +151,13 @@ class Takes:
             _check_equal(take, first, self.mapping)
             columns = first.columns
         labels = self._labeling.of(take.name, take.labels)
+        pictures = {each.column_of_pictures(take.columns) for each in selections.values() if each.size is not None}
         streams = {}
         for name in dict.fromkeys(map(_stream_of, columns)):
             settings, own = self.sampling.streams[name], [each for each in columns if _stream_of(each) == name]
             offset_ns = round(number(f"streams.{name}.offset_s", settings.offset_s, labels) * 1e9)
             is_sorted = self.sampling.steps_back == "sort"
-            streams[name] = checked(take.streams[name], settings, own, take.name, offset_ns, is_sorted)
+            streams[name] = checked(take.streams[name], settings, own, pictures, take.name, offset_ns, is_sorted)
         return Take(take.name, {name: streams[name] for name in take.streams if name in streams}, labels)
 
 

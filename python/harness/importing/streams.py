@@ -182,7 +182,13 @@ def regular(rows: int, rate_hz: float) -> np.ndarray:
 
 
 def checked(
-    stream: Stream, settings: StreamSettings, columns: list[str], place: str, offset_ns: int, is_sorted: bool
+    stream: Stream,
+    settings: StreamSettings,
+    columns: list[str],
+    pictures: set[str],
+    place: str,
+    offset_ns: int,
+    is_sorted: bool,
 ) -> Stream:
     """Returns some columns of a stream, without missing values, and with the times that its settings say.
 
@@ -190,6 +196,7 @@ def checked(
         stream: the stream.
         settings: its settings.
         columns: the columns.
+        pictures: those of them that hold no numbers.
         place: where it is noted what was left out.
         offset_ns: is added to its times, ns.
         is_sorted: whether rows are sorted by their times. Otherwise, a time that goes back is an error.
@@ -199,7 +206,8 @@ def checked(
     """
     rows = np.flatnonzero(stream.times != NO_TIME)
     if settings.skip_missing:
-        rows = rows[_is_whole(View(stream, rows, missing=settings.missing), columns)]
+        numbers = [column for column in columns if column not in pictures]
+        rows = rows[_is_whole(View(stream, rows, missing=settings.missing), numbers)]
         settings.note("left out, without a value or a time", place, len(stream) - len(rows))
     if len(rows) == 0:
         raise MappingError(f"{stream.place}: holds no rows{' without missing values' * settings.skip_missing}")
