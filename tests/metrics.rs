@@ -581,6 +581,38 @@ fn distributions_agree_with_scoringrules_scikit_learn_and_numpy() {
 }
 
 #[test]
+fn given_a_contact_the_right_distribution_covers_what_it_promises() {
+    const SIZE: usize = 100;
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let (mut reference, mut members) = (Vec::new(), Vec::new());
+    for _ in 0..400 * JOINTS {
+        // A link touches with a known probability, and the force is then uniform from 1 to 11 N.
+        let touches = rng.random_range(0.0..1.0_f64).powi(3);
+        let force = |share: f64| if share < 0.0 { 0.0 } else { (1.0 + 10.0 * share) as f32 };
+        let quantile = |probability: f64| force((probability - 1.0 + touches) / touches);
+        members.extend((0..SIZE).map(|i| quantile((i as f64 + 0.5) / SIZE as f64)));
+        reference.push(quantile(rng.random_range(0.0..1.0)));
+    }
+    let ensemble = Ensemble::new(Members::Quantiles, SIZE, members).unwrap();
+    let rows = of_forces(&reference, &reference, &ensemble.means(), Some(&ensemble));
+    let value = |metric: Metric| find(&rows, metric.in_region("contact"), None, None).value.unwrap();
+    let contacts: Vec<usize> = (0..reference.len()).filter(|place| reference[*place] > 0.05).collect();
+    let within = |share: f64| 4.0 * (share * (1.0 - share) / contacts.len() as f64).sqrt();
+    for percent in [50, 90] {
+        let share = f64::from(percent) / 100.0;
+        let coverage = value(Metric::Coverage(percent));
+        assert!((coverage - share).abs() < within(share), "{percent} %: {coverage}");
+    }
+    for bin in 0..10 {
+        assert!((value(Metric::Pit(bin)) - 0.1).abs() < within(0.1), "bin {bin}");
+    }
+    // The whole distribution's interval leaves out more contacts, because unlikely ones are above it.
+    let covers = |place: &&usize| ensemble.at(**place).interval(0.9)[1] >= f64::from(reference[**place]);
+    let whole = contacts.iter().filter(covers).count() as f64 / contacts.len() as f64;
+    assert!((0.8..0.87).contains(&whole), "{whole}");
+}
+
+#[test]
 fn one_member_is_a_point() {
     for (reference, member) in [(0.0, 0.0), (1.5, 4.0), (3.0, -2.5)] {
         for members in [Members::Draws, Members::Quantiles] {

@@ -662,6 +662,7 @@ impl TrainingRun<'_> {
             log: &|epochs| self.epochs.set(task, epochs),
         };
         let epochs = fit.run(objective, parameters)?;
+        fit.recalibrate(objective, parameters, architecture).map_err(LearningError::from)?;
         let NormalizedData { normalizers, action, .. } = &self.data;
         let losses = &self.trained.training.losses;
         let network = Description::new(architecture, task, *action, losses, normalizers, &self.spec.window)

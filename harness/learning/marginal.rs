@@ -16,9 +16,9 @@ pub const QUANTILES: usize = 100;
 
 /// The predicted distribution of each value of a vector, in physical units, `[batch, width]` each.
 pub(crate) struct Marginals {
-    /// The means of Gaussians.
+    /// The means of Gaussians, or of Laplace distributions given a contact.
     locations: Vec<f32>,
-    /// Their standard deviations.
+    /// Their standard deviations, or mean absolute deviations.
     scales: Vec<f32>,
     /// The probabilities of contacts. Without one, a force is 0, and with one, it is above the threshold of a contact.
     /// `None` for Gaussians, whose values below the minimum are set to it.
@@ -80,8 +80,10 @@ impl Marginals {
         if higher >= 1.0 {
             return 0.0;
         }
-        let left = normal_probability((location - f64::from(THRESHOLD_N)) / scale);
-        (location - scale * normal_quantile(higher * left)) as f32
+        let left = 1.0 - 0.5 * ((f64::from(THRESHOLD_N) - location) / scale).exp();
+        let higher = higher * left;
+        let distance = if higher < 0.5 { -(2.0 * higher).ln() } else { (2.0 * (1.0 - higher)).ln() };
+        (location + scale * distance) as f32
     }
 }
 

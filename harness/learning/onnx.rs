@@ -13,7 +13,6 @@ use crate::tensors::TensorFile;
 use harness_spec::{Element, Kind, Task};
 use prost::Message;
 use proto::{Attribute, Graph, Model, Node, Property, Tensor, ValueInfo};
-use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Version of the file format (ONNX 1.12), which has the operators of [`OPERATORS`].
 const FILE: i64 = 8;
@@ -499,11 +498,16 @@ impl Writer<'_> {
         };
         let raw = self.columns(format!("{name}.scale.raw"), quantity.value, distribution.start, width);
         let least = self.number(format!("{name}.scale.least"), distribution.least_scale as f32);
-        let positive = node(self, "Softplus", &[&raw], "scale.positive");
+        let greatest = self.number(format!("{name}.scale.greatest"), distribution.greatest_logarithm as f32);
+        let bounded = node(self, "Min", &[&raw, &greatest], "scale.bounded");
+        let positive = node(self, "Exp", &[&bounded], "scale.positive");
         let normalized = node(self, "Add", &[&positive, &least], "scale.normalized");
         let scale = node(self, "Mul", &[&normalized, &deviation], "scale");
-        declare(self, "scale", "the standard deviation, before values below the minimum are set to it");
-        let Some(threshold) = distribution.threshold else { return Ok(value) };
+        let Some(threshold) = distribution.threshold else {
+            declare(self, "scale", "the standard deviation, before values below the minimum are set to it");
+            return Ok(value);
+        };
+        declare(self, "scale", "given a contact, the mean absolute deviation of the Laplace distribution");
         let logits =
             self.columns(format!("{name}.logits"), quantity.value, distribution.start + width, width);
         let touches = node(self, "Sigmoid", &[&logits], "touch");
@@ -517,21 +521,19 @@ impl Writer<'_> {
         declare(
             self,
             "location",
-            "given a contact, the mean of a Gaussian of which the values above 0.05 N are left",
+            "given a contact, the mean of a Laplace distribution of which the values above 0.05 N are left",
         );
-        // The mean given a contact is the location, plus the scale times the ratio of density and probability.
-        let [half, root, two] = [("half", -0.5), ("root", FRAC_1_SQRT_2), ("two", (2.0 / PI).sqrt())]
-            .map(|(part, number)| self.number(format!("{name}.{part}"), number as f32));
-        let one = self.number(format!("{name}.one"), 1.0);
+        // The share of the distribution below the threshold, and what leaving it out adds to the mean given a contact.
+        let [half, one] =
+            [("half", 0.5), ("one", 1.0)].map(|(part, number)| self.number(format!("{name}.{part}"), number));
         let place = node(self, "Div", &[&above, &scale], "place");
-        let exponent = node(self, "Mul", &[&place, &place], "exponent.square");
-        let exponent = node(self, "Mul", &[&exponent, &half], "exponent");
-        let density = node(self, "Exp", &[&exponent], "density.raw");
-        let density = node(self, "Mul", &[&density, &two], "density");
-        let left = node(self, "Mul", &[&place, &root], "left.place");
-        let left = node(self, "Erf", &[&left], "left.central");
-        let left = node(self, "Add", &[&left, &one], "left");
-        let ratio = node(self, "Div", &[&density, &left], "ratio");
+        let exponent = node(self, "Neg", &[&place], "exponent");
+        let density = node(self, "Exp", &[&exponent], "density");
+        let below = node(self, "Mul", &[&density, &half], "below");
+        let left = node(self, "Sub", &[&one, &below], "left");
+        let next = node(self, "Add", &[&place, &one], "place.next");
+        let share = node(self, "Mul", &[&next, &below], "share");
+        let ratio = node(self, "Div", &[&share, &left], "ratio");
         let shift = node(self, "Mul", &[&ratio, &scale], "shift");
         let given_contact = node(self, "Add", &[&location, &shift], "given_contact");
         Ok(node(self, "Mul", &[&touches, &given_contact], "mean"))

@@ -1,7 +1,7 @@
 //! The training loop: epochs of Adam steps, validation, early stopping, and saved states.
 
 use super::LearningError;
-use super::network::{Draw, Parameters};
+use super::network::{Architecture, Draw, Parameters};
 use super::objective::Objective;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
@@ -97,6 +97,19 @@ impl Fit<'_> {
         }
         self.progress.end();
         Ok(state.into_epochs())
+    }
+
+    /// Recalibrates the distributions that trained parameters predict, on the validation samples.
+    ///
+    /// # Errors
+    /// When candle can't compute a loss.
+    pub fn recalibrate(
+        &self,
+        objective: &dyn Objective,
+        parameters: &Parameters,
+        architecture: &Architecture,
+    ) -> CandleResult<()> {
+        architecture.recalibrate(parameters, &mut || self.validate(objective))
     }
 
     fn finished(&self, state: &State) -> bool {

@@ -139,6 +139,12 @@ impl<'a> Distribution<'a> {
         1.0 - at_most as f64 / self.sorted.len() as f64
     }
 
+    /// Returns the distribution given that the value is above `threshold`: its members above it; `None` without any.
+    pub fn given_above(self, threshold: f32) -> Option<Self> {
+        let above = &self.sorted[self.sorted.partition_point(|member| *member <= threshold)..];
+        (!above.is_empty()).then_some(Self { sorted: above, ..self })
+    }
+
     /// Returns the mean of a function of the value.
     pub fn mean(self, of: impl Fn(f32) -> f64) -> f64 {
         self.sorted.iter().map(|&member| of(member)).sum::<f64>() / self.sorted.len() as f64

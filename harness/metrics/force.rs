@@ -99,15 +99,40 @@ impl Spread {
         if is_point {
             return;
         }
-        self.intervals += 1.0;
+        self.add_place(distribution.pit(reference, random));
         for (place, percent) in INTERVALS.into_iter().enumerate() {
             let [low, high] = distribution.interval(f64::from(percent) / 100.0);
-            let is_covered = (low..=high).contains(&f64::from(reference));
-            self.covered[place] += f64::from(u8::from(is_covered));
-            self.width[place] += high - low;
+            self.add_interval(place, high - low, (low..=high).contains(&f64::from(reference)));
         }
-        let bin = (distribution.pit(reference, random) * BINS as f64) as usize;
-        self.bins[bin.min(BINS - 1)] += 1.0;
+    }
+
+    /// Adds a distribution and a reference that touches. The interval and the PIT value are those of the distribution
+    /// given a contact. A reference that touches although no member does is above all of them.
+    fn add_contact(&mut self, distribution: Distribution, reference: f32, is_point: bool, random: f64) {
+        self.count += 1.0;
+        self.crps += distribution.crps(reference);
+        if is_point {
+            return;
+        }
+        let given_contact = distribution.given_above(THRESHOLD_N);
+        let pit = given_contact.map_or(1.0, |members| members.pit(reference, random));
+        self.add_place(pit);
+        for (place, percent) in INTERVALS.into_iter().enumerate() {
+            let share = f64::from(percent) / 100.0;
+            let [low, high] = given_contact.map_or([0.0; 2], |members| members.interval(share));
+            // Where few members touch, their PIT value says more than the bounds between them.
+            self.add_interval(place, high - low, (pit - 0.5).abs() <= share / 2.0);
+        }
+    }
+
+    fn add_place(&mut self, pit: f64) {
+        self.intervals += 1.0;
+        self.bins[((pit * BINS as f64) as usize).min(BINS - 1)] += 1.0;
+    }
+
+    fn add_interval(&mut self, place: usize, width: f64, is_covered: bool) {
+        self.covered[place] += f64::from(u8::from(is_covered));
+        self.width[place] += width;
     }
 
     /// Returns the share or mean that a metric of the distribution is, pooled; `None` if it isn't defined.
@@ -134,15 +159,21 @@ impl Spread {
 }
 
 impl Link {
-    fn add(&mut self, present: f32, pair: Pair, [logarithm, median]: [f32; 2], spread: impl Fn(&mut Spread)) {
+    fn add(
+        &mut self,
+        present: f32,
+        pair: Pair,
+        [logarithm, median]: [f32; 2],
+        spread: impl Fn(&mut Spread, bool),
+    ) {
         let Pair { reference, predicted, .. } = pair;
-        spread(&mut self.all);
+        let (is_there, is_predicted) = (reference > THRESHOLD_N, median > THRESHOLD_N);
+        spread(&mut self.all, false);
         for &part in parts(present, reference) {
             let (errors, of_part) = &mut self.parts[part];
             errors.add_points(reference, predicted, median);
-            spread(of_part);
+            spread(of_part, is_there);
         }
-        let (is_there, is_predicted) = (reference > THRESHOLD_N, median > THRESHOLD_N);
         if is_there {
             self.logarithms.add(f64::from(reference).ln_1p() as f32, logarithm);
         }
@@ -202,8 +233,9 @@ impl ForceEvaluation {
                 let pair = Pair { reference, predicted, score: score as f32 };
                 let random = uniform(seed.wrapping_mul(width as u64).wrapping_add(element as u64));
                 let judged = distribution.unwrap_or(Distribution::certain(&predicted));
-                link.add(present[place], pair, [logarithm as f32, median as f32], |spread| {
-                    spread.add(judged, reference, distribution.is_none(), random);
+                link.add(present[place], pair, [logarithm as f32, median as f32], |spread, given_contact| {
+                    let add = if given_contact { Spread::add_contact } else { Spread::add };
+                    add(spread, judged, reference, distribution.is_none(), random);
                 });
             }
         });

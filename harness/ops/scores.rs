@@ -24,40 +24,42 @@ pub fn gaussian_crps(mean: &Tensor, scale: &Tensor, target: &Tensor) -> Result<T
     scale * (((z * central)? + density)? - PI.sqrt().recip())?
 }
 
-/// Returns the continuous ranked probability score of a Gaussian of which only the values above `least` are left, in the
-/// unit of the target (Jordan, Krüger and Lerch, 2019, *Evaluating probabilistic forecasts with scoringRules*, appendix
-/// A). `mean` is that of the whole Gaussian, and at least `least`. All tensors have the same shape, but `least` may have
-/// fewer dimensions.
+/// Returns the continuous ranked probability score of a Laplace distribution of which only the values above `least` are
+/// left, in the unit of the target. `location` is the mode, and at least `least`, and `scale` the mean absolute
+/// deviation of the whole distribution. All tensors have the same shape, but `least` may have fewer dimensions.
+///
+/// With z = (target - location) / scale and the share c below `least`, it is the integral of (F - 1)² above the target,
+/// and of F² below it, of the distribution function F.
 ///
 /// # Errors
 /// When candle can't compute an operation.
-pub fn truncated_gaussian_crps(
-    mean: &Tensor,
+pub fn truncated_laplace_crps(
+    location: &Tensor,
     scale: &Tensor,
     least: &Tensor,
     target: &Tensor,
 ) -> Result<Tensor> {
-    let (z, above) = (((target - mean)? / scale)?, (mean.broadcast_sub(least)? / scale)?);
-    // Twice the distribution functions at `z`, at the bound, and at √2 times the bound.
-    let at = |x: &Tensor, factor: f64| (x * factor)?.erf()? + 1.0;
-    let (twice, left, wider) =
-        (at(&z, FRAC_1_SQRT_2)?, (at(&above, FRAC_1_SQRT_2)? * 0.5)?, at(&above, 1.0)?);
-    let density = twice_density(&z)?;
-    let first = (z * ((twice + &left)? - 2.0)?)?;
-    let score = (((first + density)? * &left)? - (wider * (0.5 / PI.sqrt()))?)?;
-    scale * (score / left.sqr()?)?
+    let (z, above) = (((target - location)? / scale)?, (location.broadcast_sub(least)? / scale)?);
+    let below = (above.neg()?.exp()? * 0.5)?;
+    let (left, square) = ((1.0 - &below)?, below.sqr()?);
+    // The score at the mode, what a distance from it adds on either side, and what its growth lacks near the mode.
+    let at_mode = ((((&above + 1.5)? * &square)? - below)? + 0.25)?;
+    let higher = (left.sqr()? * z.relu()?)?;
+    let lower = ((1.0 - square)? * z.neg()?.relu()?)?;
+    let near = (&left * (1.0 - z.abs()?.neg()?.exp()?)?)?;
+    scale * ((((at_mode + higher)? + lower)? - near)? / left.sqr()?)?
 }
 
-/// Returns the mean of a Gaussian of which only the values above `least` are left. The arguments are those of
-/// [`truncated_gaussian_crps`].
+/// Returns the mean of a Laplace distribution of which only the values above `least` are left. The arguments are those
+/// of [`truncated_laplace_crps`].
 ///
 /// # Errors
 /// When candle can't compute an operation.
-pub fn truncated_gaussian_mean(mean: &Tensor, scale: &Tensor, least: &Tensor) -> Result<Tensor> {
-    let above = (mean.broadcast_sub(least)? / scale)?;
-    let left = ((&above * FRAC_1_SQRT_2)?.erf()? + 1.0)?;
-    let density = twice_density(&above)?;
-    mean + (scale * (density / left)?)?
+pub fn truncated_laplace_mean(location: &Tensor, scale: &Tensor, least: &Tensor) -> Result<Tensor> {
+    let above = (location.broadcast_sub(least)? / scale)?;
+    let below = (above.neg()?.exp()? * 0.5)?;
+    let share = (((above + 1.0)? * &below)? / (1.0 - below)?)?;
+    location + (scale * share)?
 }
 
 /// Twice the density of the standard normal distribution.

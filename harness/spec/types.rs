@@ -186,8 +186,8 @@ pub enum Family {
     None,
     /// A Gaussian, with a mean and a scale. The loss is its CRPS, in normalized units.
     Gaussian,
-    /// For a force: 0 unless the link touches, with a probability for it, and a Gaussian above the threshold of a
-    /// contact if it does. The loss is the cross-entropy of the contact, plus the CRPS of the force given a contact.
+    /// For a force: 0 unless the link touches, with a probability for it, and a Laplace distribution above the
+    /// threshold of a contact if it does. The loss is the cross-entropy of the contact, plus the CRPS of the force given a contact.
     Hurdle,
 }
 names!(Family { None => "none", Gaussian => "gaussian", Hurdle => "hurdle" });

@@ -467,13 +467,15 @@ def _distribution(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Returns the mean of a distribution in SI units, and its other parameters."""
     width = value.shape[1]
-    scale = (functional.softplus(columns.narrow(1, entry["start"], width)) + entry["least_scale"]) * deviation
+    raw = columns.narrow(1, entry["start"], width).clamp(max=entry["greatest_logarithm"])
+    scale = (raw.exp() + entry["least_scale"]) * deviation
     if entry["family"] == "gaussian":
         return value, {"scale": scale}
     touch = torch.sigmoid(columns.narrow(1, entry["start"] + width, width))
     above = deviation * functional.softplus((value - entry["threshold"]) / deviation)
     location, place = entry["threshold"] + above, above / scale
-    ratio = (2 / torch.pi) ** 0.5 * torch.exp(-(place**2) / 2) / (1 + torch.erf(place / 2**0.5))
+    below = torch.exp(-place) / 2
+    ratio = (place + 1) * below / (1 - below)
     return touch * (location + scale * ratio), {"scale": scale, "touch": touch, "location": location}
 
 

@@ -3,12 +3,12 @@
 use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
-use harness_learning::network::Decoder;
+use harness_learning::network::{Decoder, Hurdle, Spread};
 use harness_learning::predict::TrainedNetwork;
 use harness_metrics::Ensemble;
-use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_gaussian_crps, truncated_gaussian_mean};
+use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_laplace_crps, truncated_laplace_mean};
 use harness_spec::Family;
-use statrs::distribution::{ContinuousCDF, Normal};
+use statrs::distribution::{ContinuousCDF, Laplace, Normal};
 
 fn row(values: &[f32]) -> Tensor {
     Tensor::new(values, &Device::Cpu).unwrap()
@@ -41,18 +41,18 @@ fn the_score_of_a_gaussian_is_its_crps() {
 }
 
 #[test]
-fn the_score_of_a_truncated_gaussian_is_its_crps() {
+fn the_score_of_a_truncated_laplace_is_its_crps() {
     const LEAST: f64 = 0.05;
     let (means, scales, targets) = ([0.05, 0.2, 1.0, 3.0], [1.0, 2.0, 0.5, 0.5], [0.06, 3.0, 0.4, 2.0]);
     let least = Tensor::new(LEAST as f32, &Device::Cpu).unwrap();
     let (mean, scale) = (row(&means), row(&scales));
-    let found = truncated_gaussian_crps(&mean, &scale, &least, &row(&targets)).unwrap();
-    let found_means = truncated_gaussian_mean(&mean, &scale, &least).unwrap().to_vec1::<f32>().unwrap();
+    let found = truncated_laplace_crps(&mean, &scale, &least, &row(&targets)).unwrap();
+    let found_means = truncated_laplace_mean(&mean, &scale, &least).unwrap().to_vec1::<f32>().unwrap();
     for (index, found) in found.to_vec1::<f32>().unwrap().into_iter().enumerate() {
         let [mean, scale, target] = [means[index], scales[index], targets[index]].map(f64::from);
-        let normal = Normal::new(mean, scale).unwrap();
-        let below = normal.cdf(LEAST);
-        let cdf = |x: f64| (normal.cdf(x) - below).max(0.0) / (1.0 - below);
+        let laplace = Laplace::new(mean, scale).unwrap();
+        let below = laplace.cdf(LEAST);
+        let cdf = |x: f64| (laplace.cdf(x) - below).max(0.0) / (1.0 - below);
         let expected = crps_of(cdf, target, [LEAST, 30.0]);
         assert!((f64::from(found) - expected).abs() < 1e-3 * expected, "{index}: {found} {expected}");
         // The mean is the bound plus the integral of the probability of a higher value, a CRPS without its square.
@@ -73,11 +73,11 @@ fn the_gradients_of_scores_are_finite_differences() {
     let location = |raw: &Tensor| softplus(raw)?.broadcast_add(&least);
     assert_gradients(&arguments, |args| {
         let (location, scale) = (location(&args[0])?, (softplus(&args[1])? + 1e-3)?);
-        let score = truncated_gaussian_crps(&location, &scale, &least, &target)?;
+        let score = truncated_laplace_crps(&location, &scale, &least, &target)?;
         (score * &touches)? + cross_entropy(&args[0], &touches)?
     });
     assert_gradients(&arguments, |args| {
-        truncated_gaussian_mean(&location(&args[0])?, &(softplus(&args[1])? + 1e-3)?, &least)
+        truncated_laplace_mean(&location(&args[0])?, &(softplus(&args[1])? + 1e-3)?, &least)
     });
 }
 
@@ -110,6 +110,40 @@ fn the_loss_is_the_crps_of_the_judged_distributions() {
         // The judge has 100 quantiles.
         assert!((loss - expected).abs() < 5e-3 * expected, "{memory}: {loss} {expected}");
     }
+}
+
+#[test]
+fn recalibration_finds_the_scale_and_the_probability_of_the_validation_samples() {
+    // The losses have their minima at a factor of 1.7 for the scales and of 0.6 for the logits.
+    let bench = Bench::new();
+    let architecture = Architecture {
+        output: vec![FORCE],
+        distributions: [(FORCE, Family::Hurdle)].into(),
+        ..bench.architecture()
+    };
+    let mut parameters = Parameters::new();
+    architecture.decoder(&mut parameters, &mut random(0), &Device::Cpu).unwrap();
+    let of = |parameters: &Parameters| {
+        parameters["decoder.vector.bias"].as_tensor().detach().copy().unwrap().to_vec1::<f32>().unwrap()
+    };
+    let before = of(&parameters);
+    let (scale, logit) = (JOINTS, 2 * JOINTS);
+    let found = |parameters: &Parameters| {
+        let now = of(parameters);
+        [f64::from(now[scale] - before[scale]), f64::from(now[logit] / before[logit]).ln()]
+    };
+    let mut losses = || {
+        let [scale, logit] = found(&parameters);
+        let loss = (scale - 1.7f64.ln()).powi(2) + (logit - 0.6f64.ln()).powi(2);
+        Ok([(FORCE.to_string(), loss)].into())
+    };
+    architecture.recalibrate(&parameters, &mut losses).unwrap();
+    let [scale, logit] = found(&parameters);
+    assert!((scale - 1.7f64.ln()).abs() < 1e-3 && (logit - 0.6f64.ln()).abs() < 1e-3, "{scale} {logit}");
+    // Without validation samples, nothing changes.
+    let calibrated = of(&parameters);
+    architecture.recalibrate(&parameters, &mut || Ok(BTreeMap::new())).unwrap();
+    assert_eq!(of(&parameters), calibrated);
 }
 
 #[test]
@@ -154,31 +188,31 @@ fn constant_decoder(bench: &Bench, family: Family, columns: &[f32]) -> Box<dyn D
 }
 
 #[test]
-fn a_hurdle_with_a_certain_contact_is_a_gaussian() {
+fn a_hurdle_with_a_certain_contact_is_a_laplace_distribution() {
     let bench = Bench::new();
     let scale = &bench.data.normalizers.modalities[&FORCE];
     let mut forces: Vec<f32> = (0..JOINTS).map(|link| 1.0 + link as f32).collect();
     scale.normalize(&mut forces);
     let target = Tensor::from_vec(forces, (1, JOINTS), &Device::Cpu).unwrap();
-    let values: Observation = [(FORCE, Value::Vector(target))].into_iter().collect();
+    let values: Observation = [(FORCE, Value::Vector(target.clone()))].into_iter().collect();
     let (latent, action) =
         (row(&[0.0; 3]).unsqueeze(0).unwrap(), row(&[0.0; ARM_JOINTS]).unsqueeze(0).unwrap());
-    let said = |family: Family, columns: &[f32]| {
-        let decoder = constant_decoder(&bench, family, columns);
-        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
-        let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
-        let mean = decoder.decode(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
-        let spread = decoder.spreads(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
-        (loss, mean, spread)
-    };
-    let (loss, mean, hurdle) = said(Family::Hurdle, &[30.0, 0.3, 60.0]);
-    let (expected, expected_mean, gaussian) = said(Family::Gaussian, &[30.0, 0.3]);
-    assert_close(&loss, &expected, 1e-6, "the loss");
-    assert_close(&mean, &expected_mean, 1e-6, "the mean");
-    assert_close(&hurdle.scale, &gaussian.scale, 0.0, "the scale");
-    let rest = hurdle.hurdle.unwrap();
-    assert_close(&rest.location, &expected_mean, 1e-6, "the location");
-    assert_close(&rest.touches, &rest.touches.ones_like().unwrap(), 0.0, "the probability of a contact");
+    let decoder = constant_decoder(&bench, Family::Hurdle, &[30.0, 0.3, 60.0]);
+    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+    let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
+    let mean = decoder.decode(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
+    let Spread { scale: deviation, hurdle } =
+        decoder.spreads(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
+    let Hurdle { location, touches } = hurdle.unwrap();
+    let all = mean.ones_like().unwrap();
+    assert_close(&mean, &(&all * 30.0).unwrap(), 1e-6, "the mean");
+    assert_close(&location, &mean, 1e-6, "the location");
+    assert_close(&deviation, &(&all * (0.3f64.exp() + 1e-3)).unwrap(), 1e-6, "the scale");
+    assert_close(&touches, &all, 0.0, "the probability of a contact");
+    let z = ((target - mean).unwrap() / &deviation).unwrap().abs().unwrap();
+    let score = (&z + z.neg().unwrap().exp().unwrap()).unwrap();
+    let expected = (((score - 0.75).unwrap() * deviation).unwrap()).mean_all().unwrap();
+    assert_close(&loss, &expected.unsqueeze(0).unwrap(), 1e-5, "the loss");
     // Without a contact, the loss is the cross-entropy alone, here of a probability of 1/2.
     let none = [(
         FORCE,

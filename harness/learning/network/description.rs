@@ -3,7 +3,7 @@
 //! docs/networks.md explains it. Names of tensors are those of the network's file.
 
 use super::Architecture;
-use super::head::{LEAST_SCALE, heads};
+use super::head::{GREATEST_LOGARITHM, LEAST_SCALE, heads};
 use candle_core::Result;
 use harness_metrics::force::THRESHOLD_N;
 use harness_samples::{Normalizer, Normalizers};
@@ -174,10 +174,13 @@ pub struct Predicted {
     /// The family of the distribution.
     pub family: Family,
     /// Index of the first of its other parameters in the output's value: a raw scale for each element, and then the
-    /// logit of a contact for a hurdle. The normalized scale is ln(1 + e^raw) + `least_scale`.
+    /// logit of a contact for a hurdle. The normalized scale is e^raw + `least_scale`,
+    /// and `raw` at most `greatest_logarithm`.
     pub start: usize,
     /// The least scale.
     pub least_scale: f64,
+    /// The bound of raw scales.
+    pub greatest_logarithm: f64,
     /// The force above which a link touches, N; only for a hurdle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threshold: Option<f32>,
@@ -408,6 +411,7 @@ impl Description {
                 family: head.family,
                 start: head.parameters,
                 least_scale: LEAST_SCALE,
+                greatest_logarithm: GREATEST_LOGARITHM,
                 threshold: (head.family == Family::Hurdle).then_some(THRESHOLD_N),
             });
             Output { quantity, change, minimum, loss, distribution }

@@ -3,12 +3,15 @@
 use super::{Architecture, Hurdle, Spread};
 use candle_core::{DType, Result, Tensor};
 use candle_nn::ops::sigmoid;
-use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_gaussian_crps, truncated_gaussian_mean};
+use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_laplace_crps, truncated_laplace_mean};
 use harness_spec::{Family, Modality};
 use std::collections::BTreeMap;
 
 /// The least scale, in normalized units. It bounds the gradients of a score where a value is certain.
 pub(super) const LEAST_SCALE: f64 = 1e-3;
+
+/// The greatest logarithm of a scale, in normalized units. Without it, a single step of training can overflow a scale.
+pub(super) const GREATEST_LOGARITHM: f64 = 3.0;
 
 /// Returns the heads of those vectors of which a distribution is predicted, and the number of columns of all vectors:
 /// first their values, and then what the heads have besides.
@@ -47,7 +50,8 @@ pub(super) struct Head {
 impl Head {
     /// Returns the distribution in the outputs of the last layer, `[batch, columns]`.
     pub fn spread(&self, outputs: &Tensor) -> Result<Spread> {
-        let scale = (softplus(&self.columns(outputs, self.parameters)?)? + LEAST_SCALE)?;
+        let raw = self.columns(outputs, self.parameters)?;
+        let scale = (raw.minimum(GREATEST_LOGARITHM)?.exp()? + LEAST_SCALE)?;
         let hurdle = match self.family {
             Family::Hurdle => {
                 Some(Hurdle { location: self.location(outputs)?, touches: sigmoid(&self.logits(outputs)?)? })
@@ -62,7 +66,7 @@ impl Head {
         let Spread { scale, hurdle } = self.spread(outputs)?;
         let Some(Hurdle { location, touches }) = hurdle else { return self.columns(outputs, self.start) };
         let [zero, threshold] = self.bounds()?;
-        let given_contact = truncated_gaussian_mean(&location, &scale, threshold)?;
+        let given_contact = truncated_laplace_mean(&location, &scale, threshold)?;
         (touches * given_contact.broadcast_sub(zero)?)?.broadcast_add(zero)
     }
 
@@ -75,7 +79,7 @@ impl Head {
             Some(Hurdle { location, .. }) => {
                 let [_, threshold] = self.bounds()?;
                 let touches = target.broadcast_gt(threshold)?.to_dtype(DType::F32)?;
-                let given_contact = truncated_gaussian_crps(&location, &scale, threshold, &target)?;
+                let given_contact = truncated_laplace_crps(&location, &scale, threshold, &target)?;
                 (cross_entropy(&self.logits(outputs)?, &touches)? + (given_contact * touches)?)?
             }
         };

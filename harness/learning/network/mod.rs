@@ -4,6 +4,7 @@
 //! and builds it. Source: sections II and IV-A of the paper. Its encoder maps an observation to a diagonal Gaussian
 //! distribution over the latent state. Its decoder maps a latent state and an action to the next observation.
 
+mod calibration;
 mod cvae;
 mod decoder;
 pub mod description;
@@ -487,16 +488,17 @@ pub type Spreads = BTreeMap<Modality, Spread>;
 
 /// The distributions of the values of a vector, normalized, `[batch, width]` each.
 pub struct Spread {
-    /// The standard deviations of Gaussians. Those of a predicted change are in units of the change.
+    /// The standard deviations of Gaussians, in units of the change if a change is predicted. For a hurdle, the mean
+    /// absolute deviations of the whole Laplace distributions.
     pub scale: Tensor,
     /// The rest of a hurdle; `None` for Gaussians around the means.
     pub hurdle: Option<Hurdle>,
 }
 
-/// The rest of the parameters of a hurdle: a force is zero, or that of a contact, a Gaussian of which only the values
-/// above the threshold of a contact are left.
+/// The rest of the parameters of a hurdle: a force is zero, or that of a contact, a Laplace distribution of which only
+/// the values above the threshold of a contact are left.
 pub struct Hurdle {
-    /// The mean of the whole Gaussian, which is at least the threshold.
+    /// The mean of the whole Laplace distribution, which is at least the threshold.
     pub location: Tensor,
     /// The probability of a contact.
     pub touches: Tensor,
