@@ -15,7 +15,7 @@ setup: ## make .venv with MuJoCo; check EGL and Rust
 	@setup/setup.sh
 
 run: setup ## train the recommended network, in minutes; `make run QUICK=` at full scale
-	cargo run --release -- run experiments/multi_to_multi_best.yaml $(QUICK)
+	cargo run --release -- run experiments/recommended.yaml $(QUICK)
 
 check: setup ## verify a small change in about a minute: type-check everything, test the layers that changed
 	@.ci/check

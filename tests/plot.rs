@@ -101,6 +101,20 @@ fn panels_by_task_show_both_tasks() {
 }
 
 #[test]
+fn metrics_stand_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("plot.csv").display().to_string();
+    let asked = ["plot", "--x", "metric", "--metrics", "rmse,mae", "--by", "scenario", "--of", "contact_force"];
+    succeed(&RESULTS, &[&asked[..], &["--output", &output]].concat());
+    let table = std::fs::read_to_string(&output).unwrap();
+    assert!(table.contains(",rmse,") && table.contains(",mae,"), "{table}");
+    let output = folder.path().join("plot.svg").display().to_string();
+    succeed(&RESULTS, &[&asked[..], &["--output", &output]].concat());
+    let drawn = std::fs::read_to_string(&output).unwrap();
+    assert!(["rmse", "mae", "contact force, N", "metric"].iter().all(|word| drawn.contains(word)), "{drawn}");
+}
+
+#[test]
 fn a_plot_that_cannot_be_drawn_says_what_to_do() {
     let asked = ["plot", "--x", "latent", "--metrics", "r2"];
     let refused = |more: &[&str]| {

@@ -23,6 +23,8 @@ pub enum Key {
     Task,
     /// The predicted modality.
     Modality,
+    /// The metric.
+    Metric,
     /// One setting of a spec, such as `input`, by its dotted key.
     Setting(&'static str),
 }
@@ -47,9 +49,9 @@ impl FromStr for Key {
 
 impl Key {
     /// All keys except settings.
-    pub const ALL: [Key; 8] = {
+    pub const ALL: [Key; 9] = {
         use Key::*;
-        [Experiment, Scenario, Latent, Variant, Settings, Horizon, Task, Modality]
+        [Experiment, Scenario, Latent, Variant, Settings, Horizon, Task, Modality, Metric]
     };
 
     /// The key's name on the command line, and in tables.
@@ -63,6 +65,7 @@ impl Key {
             Key::Horizon => "horizon",
             Key::Task => "task",
             Key::Modality => "modality",
+            Key::Metric => "metric",
             Key::Setting(key) => key,
         }
     }
@@ -86,6 +89,7 @@ impl Key {
             Key::Horizon => "The number of samples from the present to the predicted one",
             Key::Task => "Prediction or reconstruction",
             Key::Modality => "The predicted modality",
+            Key::Metric => "The metric",
             Key::Setting(_) => "A setting of a spec",
         }
     }

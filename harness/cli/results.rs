@@ -45,6 +45,9 @@ impl Row {
     }
 }
 
+/// The metric that only predicted distributions of forces have.
+const COVERAGE: &str = "coverage_90_contact";
+
 /// Which metrics a table has.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Metrics {
@@ -60,7 +63,9 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let own = format!("avg(case when model not in ({}) then value end) as own", models::baselines_in_sql());
     let means: Vec<String> = std::iter::once(own).chain(models::BASELINES.map(of_baseline)).collect();
     let chosen = match metrics {
-        Metrics::Main => format!("{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error')"),
+        Metrics::Main => format!(
+            "{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error', 'f1', 'crps', '{COVERAGE}')"
+        ),
         Metrics::All => "index is null".to_owned(),
     };
     let records = registry.records();
@@ -82,6 +87,14 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         means.join(", ")
     );
     let mut rows: Vec<Row> = rows(&mut query_of(registry, &is_wanted, &sql)?)?;
+    if metrics == Metrics::Main {
+        // A network that predicts distributions is also judged by them.
+        let judged: BTreeSet<String> =
+            rows.iter().filter(|row| row.metric == COVERAGE).map(|row| row.modality.clone()).collect();
+        let is_main =
+            |row: &Row| !["f1", "crps"].contains(&row.metric.as_str()) || judged.contains(&row.modality);
+        rows.retain(is_main);
+    }
     let place =
         |row: &Row| (row.task.clone(), Reverse(row.scenario.clone()), Natural::new(row.variant.as_str()));
     rows.sort_by_cached_key(place);

@@ -96,7 +96,7 @@ pub enum FigureError {
         values: Vec<String>,
     },
     /// A plot shows one metric. The field has those of the question.
-    #[error("a plot shows one metric; choose one of {} with --metrics", .0.join(", "))]
+    #[error("a plot shows one metric; choose one of {} with --metrics, or tell them apart with --x, --by or --facet metric", .0.join(", "))]
     SeveralMetrics(Vec<String>),
     /// A plot would have too many series or panels to be read.
     #[error(

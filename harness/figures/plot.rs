@@ -112,22 +112,30 @@ impl Plot {
 
     /// Draws the answer to the plot's question.
     pub(crate) fn draw(&self, answer: &Answer) -> Result<Drawing, FigureError> {
-        if answer.metrics.len() > 1 {
+        if answer.metrics.len() > 1 && !self.question.by.contains(&Key::Metric) {
             return Err(FigureError::SeveralMetrics(answer.metrics.clone()));
         }
         self.draw_means(&answer.cells, &answer.labels, answer.ahead())
     }
 
-    /// The metric along the vertical axis.
+    /// The metric along the vertical axis. It is empty if the plot tells metrics apart.
     pub(super) fn y(&self) -> &str {
-        self.question.metrics.first().map_or("", String::as_str)
+        match self.question.metrics.first() {
+            Some(metric) if !self.question.by.contains(&Key::Metric) => metric,
+            _ => "",
+        }
     }
 
     /// The label of the vertical axis.
     pub(super) fn label(&self, means: &[Mean]) -> String {
         let units: BTreeSet<&str> = means.iter().map(|mean| mean.unit.as_str()).collect();
         // Without a unit if the values have several.
-        let label = label(self.y(), if units.len() == 1 { &means[0].unit } else { "1" });
+        let unit = if units.len() == 1 { means[0].unit.as_str() } else { "1" };
+        let label = match self.y() {
+            "" if unit == "1" => "value".to_owned(),
+            "" => unit.to_owned(),
+            metric => label(metric, unit),
+        };
         let modalities: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
         match modalities.first() {
             Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
@@ -359,6 +367,7 @@ fn value(key: Key, of: &Of, labels: &Labels) -> Label {
         Key::Horizon => of.horizon.map_or_else(String::new, |horizon| horizon.to_string()),
         Key::Task => of.task.name().to_owned(),
         Key::Modality => of.predicted(),
+        Key::Metric => of.metric.clone(),
     };
     Label::from(if text.is_empty() { "none".into() } else { text })
 }

@@ -35,6 +35,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_multi_losses",
     "choose_multi_widths",
     "choose_recipe",
+    "choose_recommended",
     "choose_sight",
     "first",
     "force_assumptions",
@@ -47,8 +48,10 @@ pub const SPECS: &[BuiltIn] = built_in![
     "multi_to_multi_400k",
     "multi_to_multi_best",
     "multi_to_multi_continuous",
+    "oracle",
     "paper",
     "readings",
+    "recommended",
     "search",
     "senses",
     "single_to_multi",
@@ -56,6 +59,8 @@ pub const SPECS: &[BuiltIn] = built_in![
     "smoke",
     "value",
     "value_400k",
+    "which_sense",
+    "which_sense_crowded",
 ];
 
 impl BuiltIn {
