@@ -199,17 +199,21 @@ class Trained:
     def __init__(self, name: str, folder: Path, settings: Overrides | None = None) -> None:
         self.name = name
         settings = KINDS[name] if settings is None else settings
-        whole = {key: value for key, value in settings.items() if "." not in key}
-        overrides = {key: value for key, value in settings.items() if "." in key}
-        tasks = ["prediction", "reconstruction"]
-        spec = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"], **whole, "tasks": tasks}
+        spec = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"]}
+        for key, value in settings.items():
+            *sections, last = key.split(".")
+            section = spec
+            for name in sections:
+                section = section.setdefault(name, {})
+            section[last] = value
+        spec["tasks"] = ["prediction", "reconstruction"]
         self.results = folder / re.sub(r"\W+", "_", name)
         if not self.results.exists():
             self.results.mkdir()
             (folder / "datasets").mkdir(exist_ok=True)
             (self.results / "datasets").symlink_to(folder / "datasets")
             (self.results / "smoke.yaml").write_text(yaml.safe_dump(spec))
-        harness.run(self.results / "smoke.yaml", overrides, results=self.results, progress=False)
+        harness.run(self.results / "smoke.yaml", results=self.results, progress=False)
         self.run = harness.query("select run from runs", self.results).item()
         self.model = harness.load_model(self.run, self.results)
         data = harness.Dataset(self.results / "datasets" / self.model.dataset)
