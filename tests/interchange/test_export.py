@@ -65,7 +65,10 @@ FEATURES = {
     "twelve": {
         "observation.state": ("proprioception", "arm"),
         "observation.contact_force": ("contact_force",),
+        "observation.contact_force_kind": ("contact_force_kind",),
         "observation.contact_force_mean": ("contact_force_mean",),
+        "observation.contact_force_mean_kind": ("contact_force_mean_kind",),
+        "observation.contact_normal": ("contact_normal",),
         "observation.factors": ("factors",),
         "observation.setpoint": ("setpoint",),
     },

@@ -62,7 +62,7 @@ def simulate(index: int) -> Trial:
         return np.round(times + generator.uniform(0, jitter_s, len(times)), 6)
 
     command_times = clock(10, 0.0)
-    commands = np.repeat(generator.uniform(-0.6, 0.6, int(TRIAL_S)), 10)
+    commands = np.repeat(generator.permutation(np.linspace(-0.6, 0.6, int(TRIAL_S))), 10)  # each trial touches
     fine = np.arange(0, TRIAL_S, 0.001)
     target = commands[np.minimum((fine * 10).astype(int), len(commands) - 1)]
     bend = np.empty(len(fine))
