@@ -1052,7 +1052,7 @@ def _question(
     interval: str = "mean",
 ) -> dict[str, Any]:
     """Returns a question; see `answer`."""
-    horizons = [horizon] if isinstance(horizon, (int, str)) else horizon
+    horizons = horizon if isinstance(horizon, Iterable) and not isinstance(horizon, str) else [horizon]
     return {
         "experiments": _names("experiments", experiments),
         "of": list(name_tuple(of)),
