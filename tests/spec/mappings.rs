@@ -256,7 +256,7 @@ fn the_mappings_of_the_documentation_are_valid() {
             }
         }
     }
-    assert_eq!(count, 3);
+    assert_eq!(count, 4);
 }
 
 /// `check` overlooks a reference to nowhere, and every other format's key would then be refused.
