@@ -145,3 +145,43 @@ def test_the_import_tells_the_split_and_what_may_be_wrong(tmp_path):
     assert "1 episode with 200 samples are left out, because they are too short for a split by time" in text
     task = harness.task(dataset=dataset, inputs="x", outputs="y", results=one / "results")
     assert {int(at) // 1400 for at in task.test_inputs().samples} == {0, 1}
+
+
+def pushed(folder: Path, name: str, first: int, objects: int) -> str:
+    """Imports three trials with each of some objects. An object adds a force of its own, and has its own temperature, which
+    tells the object, and nothing of other objects."""
+    place = folder / name
+    place.mkdir()
+    for number in range(first, first + objects):
+        temperature, force = np.random.default_rng(number).normal(0, [3, 1])
+        for trial in range(3):
+            random = np.random.default_rng([number, trial])
+            grip = random.uniform(0, 1, 40)
+            columns = {"grip": grip, "temperature": temperature + random.normal(0, 0.001, 40), "force": grip + force}
+            pl.DataFrame(columns).write_csv(place / f"o{number}_{trial}.csv")
+    mapping = {"name": name, "source": name, "format": "csv", "sample_rate_hz": 20, "max_gap_s": 1}
+    mapping |= {"streams": {"log": {"file": "*.csv", "rate_hz": 20}}, "trial": "{object}_{n:int}.csv"}
+    mapping |= {"modalities": {"setpoint": "none", "touch": ["log.grip", "log.temperature"], "force": "log.force"}}
+    (folder / f"{name}.yaml").write_text(json.dumps(mapping))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return import_dataset(folder / f"{name}.yaml", folder / "results", progress=False)
+
+
+def test_grouped_folds_tell_the_error_on_new_objects_and_shuffled_trials_do_not(tmp_path):
+    known, new = pushed(tmp_path, "known", 0, 16), pushed(tmp_path, "new", 100, 60)
+    keys = {"scenarios": known, "input": "touch", "output": "force", "latent": 2, "tasks": "prediction"}
+    keys |= {"window": {"horizon": 0}, "network": {"preset": "single_to_multi", "hidden": 4}, "training": {"epochs": 1}}
+    errors = {}
+    for name, more in {
+        "objects": {"split": {"by": "object", "folds": 4}},
+        "trials": {"split": {"by": "trial", "folds": 4}},
+        "truth": {"test": {"dataset": new}},
+    }.items():
+        (tmp_path / f"{name}.yaml").write_text(json.dumps({"name": name} | keys | more))
+        harness.run(tmp_path / f"{name}.yaml", results=tmp_path / "results", progress=False)
+        table = harness.compare(name, metrics=["rmse"], results=tmp_path / "results")
+        errors[name] = table.filter(model="nearest_neighbors").row(0, named=True)
+    truth = errors["truth"]["mean"]
+    assert errors["objects"]["low"] < truth < errors["objects"]["high"], errors
+    assert errors["trials"]["high"] < truth / 2, errors

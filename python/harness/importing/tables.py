@@ -209,7 +209,8 @@ class Table:
         """The line of row 0, if no value contains a line break; 0 for Parquet files, which have no lines."""
         self._frame = self._parquet() if path.suffix.lower() == ".parquet" else self._csv()
         self.names = self._frame.collect_schema().names()
-        self.rows = int(self._frame.select(pl.len()).collect().item())
+        is_lazy = isinstance(self._frame, pl.LazyFrame)
+        self.rows = self._frame.select(pl.len()).collect().item() if is_lazy else self._frame.height
         if self.rows == 0:
             where = f"line {self.first_line}: there are no rows below the header" if self.first_line else "has no rows"
             raise MappingError(f"{path}: {where}")
@@ -223,8 +224,8 @@ class Table:
         if name not in self.names:
             raise MappingError(f"{self.path}: there is no column '{name}'; the columns are {listed(self.names)}")
         with blaming(f"{self.path}: '{name}'"):
-            rows = self._frame.select(name).slice(first, None if last is None else last - first).collect()
-        values = rows.to_series()
+            rows = self._frame.select(name).slice(first, None if last is None else last - first)
+            values = (rows.collect() if isinstance(rows, pl.LazyFrame) else rows).to_series()
         if values.dtype != pl.String:
             return values
         values = values.str.strip_chars().replace(["", *self._text.missing], None)
@@ -291,7 +292,7 @@ class Table:
             frame.collect_schema()
         return frame
 
-    def _csv(self) -> pl.LazyFrame:
+    def _csv(self) -> pl.DataFrame | pl.LazyFrame:
         text = self._text
         with blaming(str(self.path)):
             skipped, names_line, below, blank = header(self.path, text)
@@ -327,15 +328,15 @@ class Table:
             if self.separator == " ":
                 with blaming(str(self.path)), opened(self.path, text.encoding) as file:
                     lines = "\n".join("\t".join(line.split()) for line in file)
-                return pl.read_csv(io.BytesIO(lines.encode()), infer_schema=False, **keys).lazy()
+                return pl.read_csv(io.BytesIO(lines.encode()), infer_schema=False, **keys)
             if text.encoding == "utf-8" and self.path.suffix != ".gz" and self.path.stat().st_size > LARGE_BYTES:
                 self._converted = tempfile.NamedTemporaryFile(suffix=".parquet")
                 pl.scan_csv(self.path.absolute(), **keys).sink_parquet(self._converted.name)
                 return pl.scan_parquet(self._converted.name, glob=False)
             encoding = "utf8" if text.encoding == "utf-8" else text.encoding
-            return pl.read_csv(self.path.absolute(), infer_schema=False, encoding=encoding, **keys).lazy()
+            return pl.read_csv(self.path.absolute(), infer_schema=False, encoding=encoding, **keys)
         except pl.exceptions.NoDataError:
-            return pl.LazyFrame(schema=keys["schema"])
+            return pl.DataFrame(schema=keys["schema"])
         except (pl.exceptions.PolarsError, OSError) as error:
             raise MappingError(self._why(error, names)) from None
 
