@@ -148,8 +148,8 @@ def test_the_import_tells_the_split_and_what_may_be_wrong(tmp_path):
 
 
 def pushed(folder: Path, name: str, first: int, objects: int) -> str:
-    """Imports three trials with each of some objects. An object adds a force of its own, and has its own temperature, which
-    tells the object, and nothing of other objects."""
+    """Imports three trials with each of some objects. An object adds a force of its own. It also has its own
+    temperature, which tells the object, and nothing of other objects."""
     place = folder / name
     place.mkdir()
     for number in range(first, first + objects):
