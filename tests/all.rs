@@ -23,6 +23,7 @@ mod layers;
 mod live;
 mod locks;
 mod many_runs;
+mod missing;
 mod models;
 mod numbers;
 mod outside;

@@ -493,7 +493,11 @@ impl Kind {
             (observed.into_iter().collect(), targets.into_iter().collect());
         let (mut losses, mut first) = (Vec::new(), BTreeMap::new());
         for step in 0..3 {
-            let draw = &mut Draw::Sample { random: &mut random, dropout: self.dropout };
+            let draw = &mut Draw::Sample {
+                random: &mut random,
+                dropout: self.dropout,
+                missing: &mut Random::new(0, Stream::Missing { epoch: 0 }),
+            };
             let encoded = network.encode(&observed, draw)?;
             let start = network.start(sequences, device)?;
             let Seen { state, divergence, .. } =

@@ -45,6 +45,8 @@ mod finger;
 mod heads;
 #[path = "learning/memory.rs"]
 mod memory;
+#[path = "learning/missing.rs"]
+mod missing;
 #[path = "learning/sets.rs"]
 mod sets;
 #[path = "common/walks.rs"]

@@ -88,6 +88,7 @@ fn what_is_left_out_gets_its_default() {
         simulation: World::paper(Scenario::CLUTTERED).simulation(),
         split: Split::default(),
         test: None,
+        given: Vec::new(),
         scaling: Default::default(),
         training: Training {
             loss_weights: [(Modality::PROPRIOCEPTION, 1.0), (Modality::CONTACT_FORCE, 1.0)].into(),
@@ -102,6 +103,54 @@ fn what_is_left_out_gets_its_default() {
         worlds: Vec::new(),
     };
     assert_eq!(load(BASE), expected);
+}
+
+#[test]
+fn tests_with_some_inputs_follow_from_the_inputs() {
+    let subsets = |text: &str| load(&format!("{BASE}{text}")).runs().remove(0).given;
+    let one = [vec![Modality::PROPRIOCEPTION], vec![Modality::ARM]];
+    for given in ["each", "without_each", "[each, without_each, [arm]]", "[[arm], [proprioception]]"] {
+        assert_eq!(subsets(&format!("given: {given}\n")), one, "{given}");
+    }
+    // The test with all inputs is no further one, and a run without further ones has the name that it had before.
+    assert_eq!(subsets("given: [all, [arm, proprioception]]\n"), Vec::<Vec<Modality>>::new());
+    let hash = |text: &str| load(&format!("{BASE}{text}")).runs()[0].hash();
+    assert_eq!(hash("given: all\ntraining: {modality_dropout: 0}\n"), hash(""));
+    assert_ne!(hash("training: {modality_dropout: 0.1}\n"), hash(""));
+    let of = |text: &str| load(&format!("{BASE}{text}")).training.modality_dropout;
+    let each = "training: {modality_dropout: {arm: 0.1, proprioception: 0.1}}\n";
+    assert_eq!(of("training: {modality_dropout: 0.1}\n"), of(each));
+    // A single input is never lacking.
+    let varied =
+        load(&format!("{BASE}given: each\ntraining: {{modality_dropout: 0.1}}\nvary: {{input: [[arm]]}}\n"));
+    let run = varied.runs().remove(0);
+    assert_eq!(
+        (run.given.len(), &run.trained().unwrap().training.modality_dropout),
+        (0, &Default::default())
+    );
+    assert_refused(&[
+        ("given: [[vision]]\n", "spec.yaml:8:10: unknown input 'vision'. Allowed: proprioception, arm"),
+        (
+            "given: some\n",
+            "spec.yaml:8:8: 'given': expected a list of items, each one of all, each, without_each or a list of at \
+             least one item, each one of proprioception, arm, contact_force, contact_force_mean, vision, \
+             frame_difference, or a modality of another world or dataset, found the text 'some'",
+        ),
+        (
+            "training: {modality_dropout: {vision: 0.1}}\n",
+            "spec.yaml:8:39: unknown input 'vision'. Allowed: proprioception, arm",
+        ),
+        (
+            "training: {modality_dropout: 1}\n",
+            "spec.yaml:8:30: 'training.modality_dropout': expected a finite number of at least 0 and below 1 or a \
+             section of keys, found 1",
+        ),
+        (
+            "outputs: {proprioception: {predict: change}}\ntraining: {modality_dropout: 0.1}\n",
+            "spec.yaml:9:30: the change of 'proprioception' is added to the input 'proprioception', so no window may \
+             lack it; give a rate for each other input, or predict the value of 'proprioception'",
+        ),
+    ]);
 }
 
 #[test]
@@ -215,7 +264,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
              rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, predict, losses, \
-             distributions, loss_weights, dropout, precision, tiles, device",
+             distributions, loss_weights, dropout, modality_dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -232,8 +281,8 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
         (
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
-             input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, test, scaling, \
-             training, vary, search, readings, quick",
+             input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, test, given, \
+             scaling, training, vary, search, readings, quick",
         ),
     ]);
 }
@@ -1818,6 +1867,8 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
     let vectors =
         output.iter().copied().filter(|modality| !Layout::finger()[*modality].is_image() && random.random());
     let losses = vectors.map(|modality| (modality, Loss::Absolute)).collect();
+    // An input that is not the only one.
+    let one = input.first().copied().filter(|_| input.len() > 1);
     Experiment {
         name: NAMES.choose(random).unwrap().to_string(),
         description: TEXTS.choose(random).unwrap().to_string(),
@@ -1850,6 +1901,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         },
         split: random_split(random),
         test: None,
+        given: one.iter().map(|one| spec::Given::Inputs(vec![*one])).collect(),
         scaling: Modality::BUILT_IN
             .iter()
             .map(|&modality| (modality, random_scaling(modality, random)))
@@ -1875,6 +1927,9 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             predict: Default::default(),
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },
+            modality_dropout: one.map_or_else(spec::ModalityDropout::default, |one| {
+                spec::ModalityDropout::Of([(one, 0.5)].into())
+            }),
             precision: harness_spec::Precision::F32,
             tiles: random.random(),
             device: harness_spec::Device::Cpu,
@@ -2053,7 +2108,7 @@ fn the_schema_for_editors_is_up_to_date() {
     let advice = "experiments/schema.json is out of date; UPDATE=1 cargo test -p harness-spec writes it";
     assert!(fs::read_to_string(path).unwrap() == schema, "{advice}");
     // Each setting is described once.
-    assert!(schema.lines().count() <= 2500, "{} lines", schema.lines().count());
+    assert!(schema.lines().count() <= 2600, "{} lines", schema.lines().count());
 }
 
 /// The names of runs contain the hash of what is stored.

@@ -166,6 +166,8 @@ pub struct Place {
     pub settings: Option<Natural>,
     /// The number of samples from the present to the predicted one.
     pub horizon: Option<usize>,
+    /// What the networks got.
+    pub given: Option<Label>,
 }
 
 impl Place {
@@ -179,6 +181,7 @@ impl Place {
             values: values.map(|(key, value)| (*key, labels.value(key, value))).collect(),
             settings: has(Key::Settings).then(|| Natural::new(&of.settings)),
             horizon: of.horizon.filter(|_| has(Key::Horizon)),
+            given: (has(Key::Given) && !of.is_baseline()).then(|| labels.given(of.given.as_deref())),
         }
     }
 
@@ -191,7 +194,9 @@ impl Place {
         let values = self.values.iter().map(|(key, label)| with_key(key, label.text()));
         let settings = self.settings.as_ref().map(|settings| settings.text().to_owned());
         let horizon = self.horizon.map(|horizon| format!("horizon {horizon}"));
-        before.into_iter().chain(values).chain([settings, horizon].map(Option::unwrap_or_default)).collect()
+        let given = self.given.as_ref().map(|label| label.text().to_owned());
+        let after = [settings, horizon, given].map(Option::unwrap_or_default);
+        before.into_iter().chain(values).chain(after).collect()
     }
 }
 
@@ -333,7 +338,12 @@ impl<'a> Comparison<'a> {
     fn new(means: &'a [Mean], by: &[Key], metrics: &[String], labels: &Labels) -> Self {
         let horizons: BTreeSet<usize> =
             means.iter().filter_map(|mean| mean.of.horizon).filter(|at| *at > 0).collect();
-        let tells_apart = |key: Key| !by.contains(&key) && (key != Key::Horizon || horizons.len() > 1);
+        let tells_apart = |key: Key| match key {
+            Key::Horizon => !by.contains(&key) && horizons.len() > 1,
+            // Without this key, all means are of the same inputs.
+            Key::Given => false,
+            _ => !by.contains(&key),
+        };
         // An external model is a column beside the networks on the same data.
         let variants_are_rows = !by.contains(&Key::Variant);
         let subject = |of: &Of| Subject {

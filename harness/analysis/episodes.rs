@@ -89,7 +89,7 @@ impl Estimate {
 }
 
 /// The columns of texts that tell what the sums in the rows of the table are of.
-const TEXTS: [&str; 7] = ["experiment", "run", "task", "model", "modality", "direction", "metric"];
+const TEXTS: [&str; 8] = ["experiment", "run", "task", "model", GIVEN, "modality", "direction", "metric"];
 
 /// The values of [`TEXTS`] and the horizon.
 type Key = (Vec<String>, i64);
@@ -110,12 +110,14 @@ impl Jackknives {
             return Ok(Self(HashMap::new()));
         }
         let horizons: Vec<String> = horizons.iter().map(i64::to_string).collect();
+        let is_of_all_inputs = rows.iter().all(|row| row.given.is_none());
+        let given = if is_of_all_inputs { format!(" and {GIVEN} is null") } else { String::new() };
         let (texts, horizons, table) = (TEXTS.join(", "), horizons.join(", "), Table::Sums.name());
         let mut found = analysis.query(
             &experiments,
             &format!(
                 "select {texts}, {HORIZON}, episode, numerator, denominator from {table} \
-                 where {GIVEN} is null and {HORIZON} in ({horizons})"
+                 where {HORIZON} in ({horizons}){given}"
             ),
         )?;
         found.rechunk_mut();
@@ -127,9 +129,10 @@ impl Jackknives {
         if self.0.is_empty() {
             return None;
         }
-        let Row { experiment, run, task, model, modality, direction, metric, .. } = row;
-        let direction = direction.unwrap_or_default();
-        let texts: [&str; 7] = [experiment, run, task.name(), model, modality.name(), direction, metric];
+        let Row { experiment, run, task, model, modality, metric, .. } = row;
+        let [given, direction] = [row.given, row.direction].map(Option::unwrap_or_default);
+        let texts: [&str; 8] =
+            [experiment, run, task.name(), model, given, modality.name(), direction, metric];
         self.0.get(&(texts.map(str::to_owned).to_vec(), horizon(row)))
     }
 }

@@ -19,6 +19,8 @@ pub enum Key {
     Settings,
     /// The number of samples from the present to the predicted one.
     Horizon,
+    /// The inputs that the model got.
+    Given,
     /// The task.
     Task,
     /// The predicted modality.
@@ -49,9 +51,9 @@ impl FromStr for Key {
 
 impl Key {
     /// All keys except settings.
-    pub const ALL: [Key; 9] = {
+    pub const ALL: [Key; 10] = {
         use Key::*;
-        [Experiment, Scenario, Latent, Variant, Settings, Horizon, Task, Modality, Metric]
+        [Experiment, Scenario, Latent, Variant, Settings, Horizon, Given, Task, Modality, Metric]
     };
 
     /// The key's name on the command line, and in tables.
@@ -63,6 +65,7 @@ impl Key {
             Key::Variant => "variant",
             Key::Settings => "settings",
             Key::Horizon => "horizon",
+            Key::Given => "given",
             Key::Task => "task",
             Key::Modality => "modality",
             Key::Metric => "metric",
@@ -87,6 +90,7 @@ impl Key {
             Key::Variant => "The settings that an experiment varies",
             Key::Settings => "The other settings in which the runs of an experiment differ",
             Key::Horizon => "The number of samples from the present to the predicted one",
+            Key::Given => "The inputs that the model got, if it was also tested with some of them",
             Key::Task => "Prediction or reconstruction",
             Key::Modality => "The predicted modality",
             Key::Metric => "The metric",

@@ -114,6 +114,12 @@ impl Labels {
         Label { place, name: Natural::new(name) }
     }
 
+    /// The name of what a model got; `None` for all of its run's input, which comes first.
+    pub fn given(&self, given: Option<&str>) -> Label {
+        let name = given.map_or("all inputs".to_owned(), |given| joined(&modalities(given)));
+        Label { place: usize::from(given.is_some()), name: Natural::new(name) }
+    }
+
     fn input(&self, modalities: &[&str]) -> String {
         let Some(whole) = &self.whole else { return joined(modalities) };
         let left_out: Vec<&str> =

@@ -9,7 +9,7 @@ use harness_metrics::higher_is_better;
 use harness_shared::numbers::enumerated;
 use harness_spec::{Modality, Origin, Task, model_parts};
 use harness_tables::column_of;
-use harness_tables::schema::{HORIZON, Table};
+use harness_tables::schema::{GIVEN, HORIZON, Table};
 use polars::prelude::{DataFrame, PolarsResult};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -57,6 +57,8 @@ pub struct Of {
     /// Number of samples from the present to the predicted one; 0 for the present one. `None` for a skill horizon, and
     /// for what judges the latent state.
     pub horizon: Option<usize>,
+    /// The modalities that the model got, joined by a comma; `None` if it got all of its run's input.
+    pub given: Option<String>,
     /// Size of the latent state; `None` for a baseline and an external model, which have none.
     pub latent: Option<usize>,
     /// The task that is evaluated.
@@ -198,7 +200,8 @@ impl Mean {
     }
 
     /// Converts means to a table with one row for each mean. Settings by which they are told apart are columns.
-    /// Differences have the columns `difference_from` and `p`.
+    /// Means of models that got only some inputs have the column `given`, and differences the columns `difference_from`
+    /// and `p`.
     ///
     /// # Errors
     /// When Polars can't build the table, for which no reason is known.
@@ -225,6 +228,9 @@ impl Mean {
             column_of(means, "unit", |mean| mean.unit.as_str()),
             column_of(means, "better", better),
         ]);
+        if means.iter().any(|mean| mean.of.given.is_some()) {
+            columns.push(column_of(means, GIVEN, |mean| mean.of.given.as_deref()));
+        }
         if means.iter().any(|mean| mean.against.is_some()) {
             columns.push(column_of(means, "difference_from", |mean| mean.against.as_deref()));
             columns.push(column_of(means, "p", |mean| mean.p));
@@ -340,6 +346,7 @@ impl Analysis {
             settings: settings(run),
             values: asked.iter().map(|key| (*key, run.setting(key).to_owned())).collect(),
             horizon: None,
+            given: None,
             latent: run.record.spec.latent(),
             task: Task::Prediction,
             modality: Modality::LATENT,
@@ -373,7 +380,8 @@ impl Analysis {
             };
             let is_network = !is_baseline(row.model);
             let group = groups[usize::from(is_network)];
-            let key = (group, row.task, row.model, row.modality, row.direction, row.metric, row.horizon);
+            let judged = (row.task, row.model, row.modality, row.direction, row.metric);
+            let key = (group, judged, row.horizon, row.given);
             // Two variants with the same settings repeat a run.
             if is_network && !has_variants && !repeated.insert((key, seeds)) {
                 continue;
@@ -383,12 +391,13 @@ impl Analysis {
             by_row.entry(key).or_default().insert(place, (replicate, row.unit));
         }
         let groups: BTreeMap<usize, Of> = groups.into_iter().map(|(of, number)| (number, of)).collect();
-        let named =
-            by_row.into_iter().map(|((group, task, model, modality, direction, metric, horizon), values)| {
-                let (direction, metric) = (direction.map(str::to_owned), metric.to_owned());
-                let model = model.to_owned();
-                (Of { task, model, modality, direction, metric, horizon, ..groups[&group].clone() }, values)
-            });
+        let named = by_row.into_iter().map(|((group, judged, horizon, given), values)| {
+            let (task, model, modality, direction, metric) = judged;
+            let (direction, given) = (direction.map(str::to_owned), given.map(str::to_owned));
+            let (model, metric) = (model.to_owned(), metric.to_owned());
+            let group = groups[&group].clone();
+            (Of { task, model, modality, direction, metric, horizon, given, ..group }, values)
+        });
         let found: BTreeMap<Of, Values> = named.collect();
         // A baseline's value is taken from the first run of a dataset. All runs of a group repeat it, up to rounding.
         let mean = |(of, values): (Of, Values)| {

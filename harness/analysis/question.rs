@@ -90,7 +90,8 @@ pub struct Question {
     /// How far ahead the predictions are. If there are none, they are as far ahead as the spec of each run says
     /// (`window.horizon`), or at every horizon if [`Key::Horizon`] tells means apart.
     pub horizons: Vec<Horizon>,
-    /// The modalities that the models got, joined by a comma, if they got only some of a run's inputs.
+    /// The modalities that the models got, joined by a comma, if they got only some of a run's inputs. If there are none,
+    /// the models got all, or whatever they were tested with if [`Key::Given`] tells means apart.
     pub given: Option<String>,
     /// The keys that tell columns apart. If there are none, it is [`usual_key`].
     pub by: Vec<Key>,
@@ -213,14 +214,15 @@ impl Question {
         let runs = experiments.iter().flat_map(|name| analysis.runs(name));
         let horizons: BTreeSet<usize> = runs.flat_map(|run| self.horizons_of(&run.record.spec)).collect();
         let is_every = self.is_about_all_horizons();
-        let is_next = !is_every && self.given.is_none() && horizons.iter().all(|samples| *samples == 1);
+        let is_of_all_inputs = self.given.is_none() && !self.by.contains(&Key::Given);
+        let is_next = !is_every && is_of_all_inputs && horizons.iter().all(|samples| *samples == 1);
         let mut conditions = vec![OVERALL.to_owned(), format!("metric in ({})", self.read_metrics())];
         conditions.extend(self.task.map(|task| format!("task = '{}'", task.name())));
         if !is_next {
-            conditions.push(match &self.given {
-                None => format!("{GIVEN} is null"),
+            conditions.extend(match &self.given {
+                None => is_of_all_inputs.then(|| format!("{GIVEN} is null")),
                 Some(given) => {
-                    format!("({GIVEN} = {} or model in ({}))", text_in_sql(given), baselines_in_sql())
+                    Some(format!("({GIVEN} = {} or model in ({}))", text_in_sql(given), baselines_in_sql()))
                 }
             });
         }
@@ -232,7 +234,7 @@ impl Question {
         let (table, horizon) = if is_next {
             (Table::Metrics, String::new())
         } else {
-            (Table::AllMetrics, format!(", {HORIZON}"))
+            (Table::AllMetrics, format!(", {HORIZON}, {GIVEN}"))
         };
         let sql = format!(
             "select experiment, run, task, model, modality, direction, metric, value, unit{horizon} from {} where {}",

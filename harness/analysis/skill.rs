@@ -32,7 +32,7 @@ pub(super) fn skills<'a>(rows: &[Row<'a>]) -> Vec<Row<'a>> {
 pub(super) fn skill_horizons<'a>(skills: &[Row<'a>]) -> Vec<Row<'a>> {
     let mut by_model: BTreeMap<_, BTreeMap<usize, Row<'a>>> = BTreeMap::new();
     for row in skills {
-        let model = (row.experiment, row.run, row.task, row.model, row.modality, row.direction);
+        let model = (row.experiment, row.run, row.task, row.model, row.given, row.modality, row.direction);
         by_model.entry(model).or_default().extend(row.horizon.map(|horizon| (horizon, *row)));
     }
     let of_model = |by_horizon: BTreeMap<usize, Row<'a>>| {

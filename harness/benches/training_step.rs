@@ -173,7 +173,11 @@ fn main() -> anyhow::Result<()> {
     let values: Observation = changed.into_iter().chain(vectors).collect();
     let targets = Targets { values: &values, losses: &Default::default(), parts: 1, added: None };
     let mut step = |random: &mut Random, adam: &mut Adam| -> candle_core::Result<Tensor> {
-        let draw = &mut Draw::Sample { random, dropout: 0.0 };
+        let draw = &mut Draw::Sample {
+            random,
+            dropout: 0.0,
+            missing: &mut Random::new(0, Stream::Missing { epoch: 0 }),
+        };
         let encoded = network.encode(&observation, draw)?;
         let start = network.start(sequences, &device)?;
         let Seen { state, divergence, .. } =

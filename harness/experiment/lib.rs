@@ -24,7 +24,7 @@ pub use worlds::results;
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, Dataset, DatasetError, Imported};
-use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
+use harness_judge::{JudgeError, MetricRow, Predictor, Test, given, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Network, Parameters, architecture};
@@ -606,18 +606,26 @@ impl TrainingRun<'_> {
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         let Prediction { network, window, input, output, .. } = objective;
-        let (own, draws) = (network.detached(), self.trained.network.draws);
-        let trained = TrainedNetwork { data, network: own, input, output, window, draws, seed: spec.seed };
-        self.judge(task, &trained, outcome)?;
-        let begin = Instant::now();
-        let test = &self.prepared.open.partition.test;
-        let divergences = trained.divergences(test).map_err(LearningError::from)?;
-        let model = trained.name().to_owned();
-        let row =
-            |row| MetricRow { task, model: model.clone(), horizon: window.first_horizon(), given: None, row };
-        outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
-        outcome.timings.evaluation += begin.elapsed().as_secs_f64();
+        for data in std::iter::once(data.clone()).chain(self.with_some_inputs()) {
+            let (own, draws) = (network.detached(), self.trained.network.draws);
+            let trained =
+                TrainedNetwork { data: &data, network: own, input, output, window, draws, seed: spec.seed };
+            self.judge(task, &trained, outcome)?;
+            let begin = Instant::now();
+            let test = &self.prepared.open.partition.test;
+            let divergences = trained.divergences(test).map_err(LearningError::from)?;
+            let (model, given) = (trained.name().to_owned(), data.given().map(given));
+            let horizon = window.first_horizon();
+            let row = |row| MetricRow { task, model: model.clone(), horizon, given, row };
+            outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
+            outcome.timings.evaluation += begin.elapsed().as_secs_f64();
+        }
         Ok((network, parameters))
+    }
+
+    /// Returns the data of each test in which the network gets only some of its inputs.
+    fn with_some_inputs(&self) -> impl Iterator<Item = NormalizedData> {
+        self.spec.given.iter().map(|inputs| self.data.giving(inputs))
     }
 
     /// Trains and evaluates a new decoder on the latent states of the frozen network.
@@ -640,7 +648,17 @@ impl TrainingRun<'_> {
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         let decoder = objective.decoder.detached();
         let trained = TrainedDecoder { data, latents: &latents, decoder, output: &spec.input };
-        self.judge(task, &trained, outcome)
+        self.judge(task, &trained, outcome)?;
+        for data in self.with_some_inputs() {
+            let begin = Instant::now();
+            let latents = Latents::of(network, &data, &spec.input, &spec.window);
+            let latents = latents.map_err(LearningError::from)?;
+            outcome.timings.evaluation += begin.elapsed().as_secs_f64();
+            let decoder = objective.decoder.detached();
+            let trained = TrainedDecoder { data: &data, latents: &latents, decoder, output: &spec.input };
+            self.judge(task, &trained, outcome)?;
+        }
+        Ok(())
     }
 
     /// Trains `parameters` on an objective and saves them. Adds the losses to the outcome.

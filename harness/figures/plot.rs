@@ -365,6 +365,7 @@ fn value(key: Key, of: &Of, labels: &Labels) -> Label {
         Key::Setting(key) => return labels.value(key, of.values.get(key).map_or("", String::as_str)),
         Key::Settings => of.settings.clone(),
         Key::Horizon => of.horizon.map_or_else(String::new, |horizon| horizon.to_string()),
+        Key::Given => return labels.given(of.given.as_deref()),
         Key::Task => of.task.name().to_owned(),
         Key::Modality => of.predicted(),
         Key::Metric => of.metric.clone(),
@@ -388,6 +389,7 @@ fn name_of(key: Key) -> &'static str {
 fn is_every_value(key: Key, of: &Of) -> bool {
     match key {
         Key::Latent => of.latent.is_none(),
+        Key::Given => of.is_baseline(),
         Key::Horizon => of.horizon.is_none() || of.task == Task::Reconstruction,
         _ => false,
     }

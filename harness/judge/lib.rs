@@ -14,7 +14,7 @@ pub use nearest::NearestNeighbors;
 pub use persistence::Persistence;
 pub use recorded::{Asked, Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
-pub use rows::{FrameRow, MetricRow, Of, PredictionRow, SumRow, is_usual};
+pub use rows::{FrameRow, MetricRow, Of, PredictionRow, SumRow, given, is_usual};
 pub use training_mean::TrainingMean;
 
 use harness_metrics::{Ensemble, Evaluation, ForceEvaluation, Forces, MetricsError, Points, Row, parts};

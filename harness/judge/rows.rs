@@ -69,7 +69,7 @@ pub struct FrameRow {
 }
 
 /// Returns the names of modalities as the tables list them: `arm,proprioception`, or nothing.
-pub(super) fn given(modalities: &[Modality]) -> &'static str {
+pub fn given(modalities: &[Modality]) -> &'static str {
     let mut names: Vec<&str> = modalities.iter().map(|modality| modality.name()).collect();
     names.sort_unstable();
     intern(&names.join(","))

@@ -1,10 +1,10 @@
-//! A dataset as tensors for a network.
+//! A dataset as tensors for a network: what it gets, and what it should predict.
 
 use super::observation::{Observation, Value};
 use candle_core::{DType, Device, Result, Tensor};
 use harness_ops::frames::{Images, SampleFrames};
 use harness_ops::{Values, input};
-use harness_samples::{Normalizers, Sample, Samples};
+use harness_samples::{Normalizers, Sample, Samples, physical};
 use harness_spec::{Action, Modality};
 use std::collections::{BTreeMap, btree_map::Entry};
 use std::sync::{Arc, Mutex};
@@ -20,6 +20,8 @@ pub struct NormalizedData {
     pub action: Action,
     /// The device on which tensors are created.
     pub device: Device,
+    /// The inputs that a network gets; `None` for all that it has.
+    given: Option<Vec<Modality>>,
     /// What is copied to the device once.
     tables: Arc<Mutex<BTreeMap<Table, Tensor>>>,
     /// The images of all samples, on a GPU.
@@ -40,7 +42,22 @@ enum Table {
 impl NormalizedData {
     /// Normalizes `samples`, whose `action` the network gets, for a network on `device`.
     pub fn new(samples: Arc<Samples>, normalizers: Arc<Normalizers>, action: Action, device: Device) -> Self {
-        Self { samples, normalizers, action, device, tables: Arc::default(), images: Images::default() }
+        let (tables, images) = (Arc::default(), Images::default());
+        Self { samples, normalizers, action, device, given: None, tables, images }
+    }
+
+    /// Returns the same data for a network that gets only these of its inputs.
+    pub fn giving(&self, inputs: &[Modality]) -> Self {
+        Self { given: Some(inputs.to_vec()), ..self.clone() }
+    }
+
+    /// Returns the inputs that a network gets; `None` for all that it has.
+    pub fn given(&self) -> Option<&[Modality]> {
+        self.given.as_deref()
+    }
+
+    fn is_given(&self, modality: Modality) -> bool {
+        self.given.as_ref().is_none_or(|given| given.contains(&modality))
     }
 
     /// Returns the same data for a network on another device.
@@ -81,6 +98,24 @@ impl NormalizedData {
         };
         let changes = changed.into_iter().map(change).collect::<Result<Vec<_>>>()?;
         Ok(values.into_iter().chain(changes).collect())
+    }
+
+    /// Returns what a network with these inputs gets at the samples `at`, normalized. An input that is not given is at
+    /// its mean over the training data.
+    pub fn inputs(&self, at: &[Sample], inputs: &[Modality]) -> Result<Observation> {
+        let missing = inputs.iter().filter(|modality| !self.is_given(**modality));
+        let kept = missing.map(|modality| (*modality, vec![0.0])).collect();
+        self.observation(at, inputs)?.keeping(&kept)
+    }
+
+    /// Returns the values of a modality that a network gets at the samples `at`, in physical units, `[at, width]`.
+    pub fn given_values(&self, modality: Modality, at: &[Sample]) -> Vec<f32> {
+        let mut values = physical(&self.samples, modality, at);
+        if !self.is_given(modality) {
+            values.fill(0.0);
+            self.normalizers.modalities[&modality].denormalize(&mut values);
+        }
+        values
     }
 
     /// Returns the normalized values of `modalities` at the samples `at`.

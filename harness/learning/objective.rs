@@ -1,7 +1,7 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::{NormalizedData, indices};
-use super::network::{Decoder, Draw, Network, Seen, State, Targets, Term, context};
+use super::network::{Decoder, Draw, Keeping, Network, Seen, State, Targets, Term, context};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
@@ -70,9 +70,12 @@ pub struct Prediction<'a> {
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, training, .. } = self;
-        let start = self.burned_in(at, &mut draw)?;
+        let rates = training.modality_dropout.rates(self.input);
+        let keeping = draw.keeping(&rates, self.input.len(), at.len());
+        let start = self.burned_in(at, &keeping, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
-        let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &mut draw)?;
+        let encoded = self.encoded(&*self.network, &seen, &keeping, &mut draw)?;
+        let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &encoded, &mut draw)?;
         let losses = |state: &State, of: &[Sample], present: &[Sample], parts: usize| {
             let values = data.targets(of, present, self.output)?;
             network.losses(state, Targets { values: &values, losses: &training.losses, parts, added: None })
@@ -153,40 +156,51 @@ impl Prediction<'_> {
 
     /// Returns the state before the first sample on which the network is trained, without gradients; `None` without
     /// memory.
-    fn burned_in(&self, at: &[Sample], draw: &mut Draw) -> Result<Option<State>> {
+    fn burned_in(&self, at: &[Sample], keeping: &Keeping, draw: &mut Draw) -> Result<Option<State>> {
         let start = self.network.start(at.len(), &self.data.device)?;
         let seen = times(at, self.trained()..self.context());
         if seen.is_empty() {
             return Ok(start);
         }
         let network = self.network.detached();
-        let encoded = network.encode(&self.data.observation(&seen, self.input)?, draw)?;
+        let encoded = self.encoded(&*network, &seen, keeping, draw)?;
         let actions = self.data.actions(&seen)?;
         network.unroll(at.len(), start.as_ref(), &encoded, &actions, draw)?.state.last(at.len()).map(Some)
     }
 
-    /// Returns the states of the samples `seen`, `batch` at each time. Gradients reach back over as many times as
+    /// Encodes the samples `seen` of windows that may lack inputs.
+    fn encoded(
+        &self,
+        network: &dyn Network,
+        seen: &[Sample],
+        keeping: &Keeping,
+        draw: &mut Draw,
+    ) -> Result<Tensor> {
+        network.encode(&self.data.inputs(seen, self.input)?.keeping(keeping)?, draw)
+    }
+
+    /// Returns the states of the encoded samples `seen`, `batch` at each time. Gradients reach back over as many times as
     /// `training.truncate` says.
     fn unroll(
         &self,
         batch: usize,
         mut start: Option<State>,
         seen: &[Sample],
+        encoded: &Tensor,
         draw: &mut Draw,
     ) -> Result<Seen> {
-        let encoded = self.network.encode(&self.data.observation(seen, self.input)?, draw)?;
         let actions = self.data.actions(seen)?;
         let times = seen.len() / batch;
         let most = self.training.truncate.unwrap_or(times);
         if most >= times {
-            return self.network.unroll(batch, start.as_ref(), &encoded, &actions, draw);
+            return self.network.unroll(batch, start.as_ref(), encoded, &actions, draw);
         }
         let (mut states, mut divergences) = (Vec::new(), Vec::new());
         for first in (0..times).step_by(most) {
             let part = most.min(times - first);
             let rows = |tensor: &Tensor| tensor.narrow(0, first * batch, part * batch);
             let Seen { state, divergence, .. } =
-                self.network.unroll(batch, start.as_ref(), &rows(&encoded)?, &rows(&actions)?, draw)?;
+                self.network.unroll(batch, start.as_ref(), &rows(encoded)?, &rows(&actions)?, draw)?;
             start = Some(state.last(batch)?);
             states.push(state);
             divergences.push((divergence * (part as f64 / times as f64))?);

@@ -1,7 +1,8 @@
 //! What a network sees of a batch of samples, and what it should predict: normalized values by modality.
 
 use candle_core::{Result, Tensor};
-use harness_ops::frames::{Frames, stacked};
+use harness_ops::frames::{Frames, Kept, stacked};
+use harness_ops::{Values, input};
 use harness_spec::Modality;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,6 +15,9 @@ pub enum Value {
     /// An image, with three channels.
     Frames(Arc<dyn Frames>),
 }
+
+/// For each modality that some windows lack, 1 for a window that has it and 0 for one that lacks it.
+pub type Keeping = BTreeMap<Modality, Vec<f32>>;
 
 /// The normalized values of a batch by modality. A modality without values was not given.
 #[derive(Clone, Default)]
@@ -38,6 +42,26 @@ impl Observation {
     /// Returns the values of a modality; `None` if it was not given.
     pub fn get(&self, modality: Modality) -> Option<&Value> {
         self.0.get(&modality)
+    }
+
+    /// Returns the observation in which a modality is at its mean, which is normalized to 0, where a window lacks it.
+    /// The rows of the windows at one time lie together.
+    pub fn keeping(mut self, keeping: &Keeping) -> Result<Self> {
+        for (modality, kept) in keeping {
+            let Some(value) = self.0.get_mut(modality) else { continue };
+            let of_rows = |rows: usize| kept.iter().copied().cycle().take(rows).collect::<Vec<f32>>();
+            *value = match &*value {
+                Value::Vector(vector) => {
+                    let rows = vector.dim(0)?;
+                    let kept = input(Values::F32(of_rows(rows)), (rows, 1), vector.device())?;
+                    Value::Vector(vector.broadcast_mul(&kept)?)
+                }
+                Value::Frames(frames) => {
+                    Value::Frames(Arc::new(Kept::new(frames.clone(), of_rows(frames.batch()))))
+                }
+            };
+        }
+        Ok(self)
     }
 
     /// Returns these vectors side by side, `[batch, width]`.

@@ -9,7 +9,7 @@ use candle_core::{DType, Result, Tensor};
 use harness_judge::{BATCH, JudgeError, Predicted, Predictor, Receive, models};
 use harness_metrics::{Ensemble, Members};
 use harness_ops::{Values, input};
-use harness_samples::{Normalizer, Normalizers, Sample, Samples, after, physical};
+use harness_samples::{Normalizer, Normalizers, Sample, Samples, after};
 use harness_spec::{Modality, Window, WindowStart};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -110,7 +110,7 @@ impl<'a> Encoded<'a> {
         let all = (0..tracks.longest()).flat_map(|distance| tracks.at(distance));
         let samples: Vec<Sample> = all.collect::<BTreeSet<Sample>>().into_iter().collect();
         let encoded = samples.chunks(BATCH).map(|at| {
-            let observation = data.observation(at, input)?;
+            let observation = data.inputs(at, input)?;
             network.encode(&observation, &mut Draw::Mean)
         });
         let encoded = Tensor::cat(&encoded.collect::<Result<Vec<_>>>()?, 0)?;
@@ -273,8 +273,7 @@ impl TrainedNetwork<'_> {
         decoded: &Decoded,
         at: &[Sample],
     ) -> Result<Vec<(Modality, Vec<f32>)>> {
-        let NormalizedData { samples, normalizers, .. } = self.data;
-        predicted(normalizers, output, decoded, |modality| physical(samples, modality, at))
+        predicted(&self.data.normalizers, output, decoded, |modality| self.data.given_values(modality, at))
     }
 
     /// Returns the predicted distributions by modality.
@@ -284,10 +283,10 @@ impl TrainedNetwork<'_> {
         spreads: &Spreads,
         at: &[Sample],
     ) -> Result<BTreeMap<Modality, Marginals>> {
-        let NormalizedData { samples, normalizers, .. } = self.data;
+        let normalizers = &self.data.normalizers;
         let of = |(modality, spread): (&Modality, &Spread)| {
             let means =
-                unbounded(normalizers, *modality, decoded, |modality| physical(samples, modality, at))?;
+                unbounded(normalizers, *modality, decoded, |modality| self.data.given_values(modality, at))?;
             Ok((*modality, Marginals::new(normalizers, *modality, means, spread)?))
         };
         spreads.iter().map(of).collect()
@@ -341,6 +340,10 @@ impl Predictor for TrainedNetwork<'_> {
         models::NETWORK
     }
 
+    fn given(&self) -> Option<&[Modality]> {
+        self.data.given()
+    }
+
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {
         let Self { data, network, input, window, .. } = self;
         let encoded = Encoded::new(&**network, data, input, window, at).map_err(failed)?;
@@ -382,6 +385,10 @@ pub struct TrainedDecoder<'a> {
 impl Predictor for TrainedDecoder<'_> {
     fn name(&self) -> &str {
         models::NETWORK
+    }
+
+    fn given(&self) -> Option<&[Modality]> {
+        self.data.given()
     }
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> std::result::Result<(), JudgeError> {

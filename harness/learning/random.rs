@@ -18,6 +18,11 @@ pub enum Stream {
         /// The epoch, counted from 0.
         index: usize,
     },
+    /// Which inputs each training window of one epoch lacks.
+    Missing {
+        /// The epoch, counted from 0.
+        epoch: usize,
+    },
     /// Latent states that are drawn for the present sample with this index in its dataset.
     Draws(usize),
     /// Values that are drawn from distributions predicted from the present sample with this index in its dataset.
@@ -39,6 +44,7 @@ impl Random {
         generator.set_stream(match stream {
             Stream::Parameters(task) => block(task),
             Stream::Epoch { task, index } => block(task) + 1 + index as u64,
+            Stream::Missing { epoch } => (1 << 35) + epoch as u64,
             Stream::Draws(sample) => (1 << 33) + sample as u64,
             Stream::Members(sample) => (1 << 34) + sample as u64,
         });
@@ -61,6 +67,11 @@ impl Random {
     /// Draws a seed for another generator.
     pub fn seed(&mut self) -> u64 {
         self.0.next_u64()
+    }
+
+    /// Returns whether something with this probability happens.
+    pub fn happens(&mut self, probability: f64) -> bool {
+        self.0.random_bool(probability)
     }
 
     /// Draws an integer from 0 to `most`.

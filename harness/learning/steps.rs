@@ -58,16 +58,22 @@ impl<'a> Steps<'a> {
     }
 
     /// Takes a step on the windows whose present samples are `at`. Returns the losses before it.
-    pub fn take(&mut self, at: &[Sample], random: &mut Random) -> Result<StepLosses> {
+    /// `missing` supplies which inputs a window lacks.
+    pub fn take(&mut self, at: &[Sample], random: &mut Random, missing: &mut Random) -> Result<StepLosses> {
         #[cfg(feature = "cuda")]
         if let Some(device) = self.adam.gpu() {
-            return self.take_on_gpu(&device, at, random);
+            return self.take_on_gpu(&device, at, random, missing);
         }
-        self.take_by_itself(at, random)
+        self.take_by_itself(at, random, missing)
     }
 
-    fn take_by_itself(&mut self, at: &[Sample], random: &mut Random) -> Result<StepLosses> {
-        let terms = self.objective.terms(at, Draw::Sample { random, dropout: self.dropout })?;
+    fn take_by_itself(
+        &mut self,
+        at: &[Sample],
+        random: &mut Random,
+        missing: &mut Random,
+    ) -> Result<StepLosses> {
+        let terms = self.objective.terms(at, Draw::Sample { random, dropout: self.dropout, missing })?;
         let (losses, total) = StepLosses::of(&terms)?;
         self.adam.step(&total.backward()?)?;
         Ok(losses)
@@ -127,24 +133,25 @@ mod repeated {
             device: &Device,
             at: &[Sample],
             random: &mut Random,
+            missing: &mut Random,
         ) -> Result<StepLosses> {
             match std::mem::take(&mut self.repeated) {
-                Repeated::Nothing => self.first(device, at, random),
+                Repeated::Nothing => self.first(device, at, random, missing),
                 Repeated::Once { batch, inputs, sources, losses } if batch == at.len() => {
                     let steps = self.adam.steps();
-                    let mut own = random.clone();
+                    let (mut own, mut lacking) = (random.clone(), missing.clone());
                     let recorded = Graph::record(device, inputs, losses.values.copy()?, || {
-                        Ok(self.take_by_itself(at, &mut own)?.values)
+                        Ok(self.take_by_itself(at, &mut own, &mut lacking)?.values)
                     });
                     self.adam.set_steps(steps);
                     match recorded {
                         Ok(graph) => {
                             self.repeated = Repeated::Graph { batch, graph, sources, names: losses.names };
-                            self.take_on_gpu(device, at, random)
+                            self.take_on_gpu(device, at, random, missing)
                         }
                         Err(_) => {
                             self.repeated = Repeated::Impossible;
-                            self.take_by_itself(at, random)
+                            self.take_by_itself(at, random, missing)
                         }
                     }
                 }
@@ -152,7 +159,7 @@ mod repeated {
                     let lists = self.objective.indices(at)?;
                     if !sources.iter().all(|source| source.is_certain(&lists)) {
                         self.repeated = Repeated::Impossible;
-                        return self.take_by_itself(at, random);
+                        return self.take_by_itself(at, random, missing);
                     }
                     let adam = self.adam.count();
                     let inputs = sources.iter().map(|source| match source {
@@ -174,16 +181,22 @@ mod repeated {
                 // The last batch of an epoch may be smaller.
                 other => {
                     self.repeated = other;
-                    self.take_by_itself(at, random)
+                    self.take_by_itself(at, random, missing)
                 }
             }
         }
 
         /// Takes a step, and finds out where its inputs come from.
-        fn first(&mut self, device: &Device, at: &[Sample], random: &mut Random) -> Result<StepLosses> {
+        fn first(
+            &mut self,
+            device: &Device,
+            at: &[Sample],
+            random: &mut Random,
+            missing: &mut Random,
+        ) -> Result<StepLosses> {
             let (before, mut losses) = (random.clone(), None);
             let (_, inputs) = first_run(device, || {
-                let taken = self.take_by_itself(at, random)?;
+                let taken = self.take_by_itself(at, random, missing)?;
                 let values = taken.values.clone();
                 losses = Some(taken);
                 Ok(values)

@@ -125,6 +125,7 @@ impl Fit<'_> {
     fn epoch(&self, steps: &mut Steps, index: usize) -> Result<Epoch, LearningError> {
         let (begin, objective) = (Instant::now(), steps.objective);
         let mut random = Random::new(self.seed, Stream::Epoch { task: self.task, index });
+        let mut missing = Random::new(self.seed, Stream::Missing { epoch: index });
         let mut order = sequences(&self.partition.training, objective.context(), |most| random.up_to(most));
         random.shuffle(&mut order);
         let mut train = Sums::default();
@@ -135,7 +136,7 @@ impl Fit<'_> {
                 return Err(LearningError::Cancelled);
             }
             steps.adam.set_learning_rate(learning_rate(self.training, epoch_steps, steps.adam.steps()));
-            train.add(steps.take(at, &mut random)?, at.len())?;
+            train.add(steps.take(at, &mut random, &mut missing)?, at.len())?;
             self.progress.part(index as u64 + 1, epoch_steps as u64);
         }
         let validation = self.validate(objective)?;

@@ -3,6 +3,7 @@
 //! A batch of 1024 normalized frames takes 50 MB. An op that asks for one frame at a time keeps it in the processor's
 //! cache, and no batch has to be assembled before.
 
+use crate::{Values, input};
 use candle_core::{Device, Result, Tensor};
 use harness_samples::{Normalizers, Sample, Samples};
 use harness_spec::{IMAGE_CHANNELS, Modality};
@@ -134,6 +135,39 @@ impl Frames for Averaged {
         }
         let factor = 1.0 / (self.by * self.by) as f32;
         frame.iter_mut().for_each(|value| *value *= factor);
+    }
+}
+
+/// Frames of which some are missing.
+pub struct Kept {
+    frames: Arc<dyn Frames>,
+    /// The factor of each frame: 1, or 0 if it is missing.
+    kept: Vec<f32>,
+}
+
+impl Kept {
+    /// Sets the frames whose factor in `kept` is 0 to 0. The factors of the others are 1.
+    pub fn new(frames: Arc<dyn Frames>, kept: Vec<f32>) -> Self {
+        Self { frames, kept }
+    }
+}
+
+impl Frames for Kept {
+    fn batch(&self) -> usize {
+        self.frames.batch()
+    }
+    fn channels(&self) -> usize {
+        self.frames.channels()
+    }
+    fn size(&self) -> [usize; 2] {
+        self.frames.size()
+    }
+    fn write(&self, index: usize, frame: &mut [f32]) {
+        if self.kept[index] == 0.0 { frame.fill(0.0) } else { self.frames.write(index, frame) }
+    }
+    fn tensor(&self, device: &Device) -> Result<Tensor> {
+        let kept = input(Values::F32(self.kept.clone()), (self.kept.len(), 1, 1, 1), device)?;
+        self.frames.tensor(device)?.broadcast_mul(&kept)
     }
 }
 

@@ -44,6 +44,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "memory_crowded",
     "memory_next_sample",
     "memory_unknown_start",
+    "missing",
     "multi_to_multi",
     "multi_to_multi_400k",
     "multi_to_multi_best",

@@ -192,6 +192,7 @@ impl Experiment {
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
             test: self.test.clone(),
+            given: self.subsets(),
             scaling: self.scaling_of_used(scenario),
             model: Model::Trained(Box::new(Trained {
                 latent,

@@ -476,6 +476,10 @@ impl Experiment {
             } else {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
             }
+            self.given = self.subsets().into_iter().map(Given::Inputs).collect();
+            let rates = self.training.modality_dropout.rates(&self.input);
+            self.training.modality_dropout =
+                if rates.is_empty() { ModalityDropout::default() } else { ModalityDropout::Of(rates) };
             if self.network.memory != Memory::Window {
                 self.network.memory_samples = Network::default().memory_samples;
             }

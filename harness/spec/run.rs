@@ -42,6 +42,8 @@ pub struct RunSpec {
     pub split: Split,
     /// The dataset on which the run is tested; `None` if it is a part of the run's own one.
     pub test: Option<TestDataset>,
+    /// The inputs in each further test of a trained network with a part of them.
+    pub given: Vec<Vec<Modality>>,
     /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
     /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     pub scaling: Scalings,
@@ -104,6 +106,8 @@ struct Fields {
     split: Split,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     test: Option<TestDataset>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    given: Vec<Vec<Modality>>,
     #[serde(default)]
     scaling: Scalings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -151,6 +155,7 @@ impl From<RunSpec> for Fields {
             simulation: spec.simulation,
             split: spec.split,
             test: spec.test,
+            given: spec.given,
             scaling: spec.scaling,
             training,
         }
@@ -180,6 +185,7 @@ impl TryFrom<Fields> for RunSpec {
             simulation: fields.simulation,
             split: fields.split,
             test: fields.test,
+            given: fields.given,
             scaling: fields.scaling,
             model,
         })
@@ -213,7 +219,7 @@ impl RunSpec {
         let parts = [variant, &model].into_iter().filter(|part| !part.is_empty());
         let variant = parts.collect::<Vec<_>>().join(",");
         let (model, tasks) = (Model::External(name.to_owned()), vec![Task::Prediction]);
-        Self { model, variant, seed, tasks, ..self.clone() }
+        Self { model, variant, seed, tasks, given: Vec::new(), ..self.clone() }
     }
 
     /// Returns the hash of what the run asks of a model, whichever it is: the first 16 hexadecimal digits of the

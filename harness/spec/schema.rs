@@ -211,9 +211,10 @@ pub(super) const BELOW_VARY: &str = "vary.";
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 12] = [
+    const SECTIONS: [&str; 13] = [
         "input",
         "output",
+        "given",
         "outputs",
         "tasks",
         "action",
@@ -229,10 +230,12 @@ pub(super) fn varies(key: &str) -> bool {
 }
 
 /// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
-/// losses, nor could those with other distributions, and successive halving sets the last epoch.
+/// losses, nor could those with other distributions. Successive halving sets the last epoch, and the device changes
+/// nothing but rounding.
 fn draws(key: &str) -> bool {
     const SECTIONS: [&str; 5] = ["input", "outputs", "action", "network", "training"];
-    let is_drawn = key != "training.last_epoch" && !key.ends_with(".distribution");
+    let is_set = ["training.last_epoch", "training.device"].contains(&key);
+    let is_drawn = !is_set && !key.ends_with(".distribution");
     SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && is_drawn
 }
 

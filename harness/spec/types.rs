@@ -269,6 +269,12 @@ pub struct Experiment {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "test_dataset")]
     pub test: Option<TestDataset>,
+    /// The tests of a trained network besides that with all inputs: `each` input alone, `without_each`, or a list of
+    /// those that the network gets (`[[vision], [arm, vision]]`). A vector or an image that it does not get is at its
+    /// mean over the training data. The column `given` of the tables names what it gets.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub given: Vec<Given>,
     /// How each modality is scaled for the network, and the lower bound of its predictions in physical units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(schema_with = "scalings_schema")]
@@ -494,6 +500,10 @@ pub struct Training {
     /// in [0, 1). It has no effect on a fully connected network.
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
+    /// Probability that a training window lacks an input, in [0, 1): one number for all inputs, or one for each that may
+    /// be lacking (`{vision: 0.3}`). All samples of a window lack it, and it is then at its mean over the training data.
+    /// Each window keeps at least one input.
+    pub modality_dropout: ModalityDropout,
     /// The number format in large matrix products.
     pub precision: Precision,
     /// Whether matrix products use the processor's tile unit (Intel AMX), if it has one. Results with and without it
@@ -578,6 +588,81 @@ impl Training {
     }
 }
 
+/// Some tests of a trained network with a part of its inputs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Given {
+    /// Tests that follow from the inputs.
+    Named(Subsets),
+    /// A test with these inputs.
+    Inputs(#[schemars(length(min = 1), extend("uniqueItems" = true))] Vec<Modality>),
+}
+
+/// Tests that follow from the inputs of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Subsets {
+    /// That with all inputs, which is always made.
+    All,
+    /// One with each input alone.
+    Each,
+    /// One without each input.
+    WithoutEach,
+}
+
+impl Experiment {
+    /// Returns the inputs in each test with a part of them, in the order of [`Modality`].
+    pub(super) fn subsets(&self) -> Vec<Vec<Modality>> {
+        let without = |left_out: &Modality| -> Vec<Modality> {
+            self.input.iter().copied().filter(|modality| modality != left_out).collect()
+        };
+        let of = |given: &Given| match given {
+            Given::Inputs(inputs) => vec![inputs.clone()],
+            Given::Named(Subsets::All) => Vec::new(),
+            Given::Named(Subsets::Each) => self.input.iter().map(|modality| vec![*modality]).collect(),
+            Given::Named(Subsets::WithoutEach) => self.input.iter().map(without).collect(),
+        };
+        let mut subsets: Vec<Vec<Modality>> = self.given.iter().flat_map(of).collect();
+        subsets.iter_mut().for_each(|inputs| inputs.sort());
+        subsets.sort();
+        subsets.dedup();
+        subsets.retain(|inputs| !inputs.is_empty() && inputs.len() < self.input.len());
+        subsets
+    }
+}
+
+/// The probabilities that a training window lacks an input.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum ModalityDropout {
+    /// The same one for all inputs.
+    Every(#[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))] f64),
+    /// One for each of these inputs; 0 for all others.
+    Of(#[schemars(schema_with = "rates_schema")] BTreeMap<Modality, f64>),
+}
+
+impl Default for ModalityDropout {
+    fn default() -> Self {
+        Self::Every(0.0)
+    }
+}
+
+impl ModalityDropout {
+    /// Returns the probability of each of these inputs that is not 0. A single input is never lacking.
+    pub fn rates(&self, input: &[Modality]) -> BTreeMap<Modality, f64> {
+        let rate = |modality: &Modality| match self {
+            Self::Every(rate) => *rate,
+            Self::Of(rates) => rates.get(modality).copied().unwrap_or_default(),
+        };
+        let rates = input.iter().map(|modality| (*modality, rate(modality)));
+        rates.filter(|(_, rate)| input.len() > 1 && *rate > 0.0).collect()
+    }
+}
+
+fn rates_schema(_: &mut SchemaGenerator) -> Schema {
+    let rate = json_schema!({ "type": "number", "minimum": 0.0, "exclusiveMaximum": 1.0 });
+    json_schema!({ "type": "object", "additionalProperties": rate })
+}
 fn search(generator: &mut SchemaGenerator) -> Schema {
     generator.subschema_for::<Search>()
 }

@@ -7,8 +7,8 @@ use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::split::{Division, Split, Tested};
 use super::types::{
-    Device, Experiment, Family, Loss, Memory, Network, Precision, Predict, Preset, Reading, Settings, Task,
-    TestDataset, Training, WindowStart,
+    Device, Experiment, Family, Given, Loss, Memory, ModalityDropout, Network, Precision, Predict, Preset,
+    Reading, Settings, Task, TestDataset, Training, WindowStart,
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
@@ -58,6 +58,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     scenarios(experiment)?;
     modalities(experiment)?;
     tasks(&experiment.tasks)?;
+    given(experiment)?;
     outputs(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
@@ -221,6 +222,39 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
         }
     }
     Ok(())
+}
+
+/// Refuses a test with, or a training without, what is no input, and a training without the input to which a predicted
+/// change is added.
+fn given(experiment: &Experiment) -> Result<(), Fault> {
+    let Experiment { given, input, training, .. } = experiment;
+    let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
+    let no_input = |path: String, modality: &Modality| {
+        fault(path, unknown("input", modality.name(), "", &names, str::to_owned))
+    };
+    for (index, given) in given.iter().enumerate() {
+        let Given::Inputs(inputs) = given else { continue };
+        if let Some(place) = inputs.iter().position(|modality| !input.contains(modality)) {
+            return no_input(format!("given.{index}.{place}"), &inputs[place]);
+        }
+    }
+    const DROPOUT: &str = "training.modality_dropout";
+    if let ModalityDropout::Of(rates) = &training.modality_dropout
+        && let Some(modality) = rates.keys().find(|modality| !input.contains(modality))
+    {
+        return no_input(format!("{DROPOUT}.{modality}"), modality);
+    }
+    let is_changed = |modality: &&Modality| training.predict.get(modality) == Some(&Predict::Change);
+    match training.modality_dropout.rates(input).keys().find(is_changed) {
+        Some(modality) => fault(
+            DROPOUT,
+            format!(
+                "the change of '{modality}' is added to the input '{modality}', so no window may lack it; give a rate \
+                 for each other input, or predict the value of '{modality}'"
+            ),
+        ),
+        None => Ok(()),
+    }
 }
 
 /// The images among the inputs and outputs of a network, with their rows and columns.

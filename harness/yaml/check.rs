@@ -71,6 +71,9 @@ pub fn takes_one_item(schema: &Json) -> bool {
 /// Whether a value, or the list that is made of it, has the type that the schema wants.
 fn fits(root: &Json, schema: &Json, value: &Value) -> bool {
     let (schema, _) = resolve(root, schema);
+    if let Some(either) = schema["anyOf"].as_array() {
+        return either.iter().any(|choice| fits(root, choice, value));
+    }
     if choices(schema).is_some() {
         return matches!(value, Value::Text(_));
     }

@@ -366,8 +366,14 @@ fn reference_a_state_space_model_agrees_with_pytorch_twin() {
 #[test]
 fn rollouts_start_at_one_of_each_few_samples() {
     let mut random = random(3);
-    let mut rows =
-        |stride, batch| Draw::Sample { random: &mut random, dropout: 0.0 }.one_of_each(stride, batch);
+    let mut rows = |stride, batch| {
+        Draw::Sample {
+            random: &mut random,
+            dropout: 0.0,
+            missing: &mut Random::new(0, Stream::Missing { epoch: 0 }),
+        }
+        .one_of_each(stride, batch)
+    };
     let mut found = [0; 11];
     for _ in 0..200 {
         let rows = rows(4, 11).unwrap();
@@ -392,7 +398,11 @@ fn few_rollouts_have_the_loss_of_all_on_average() {
         assert_eq!(objective.predicted(), if rollout_stride == 1 { 24 } else { 6 + 5 });
         let mut random = random(5);
         let mut loss = || {
-            let draw = Draw::Sample { random: &mut random, dropout: 0.0 };
+            let draw = Draw::Sample {
+                random: &mut random,
+                dropout: 0.0,
+                missing: &mut Random::new(0, Stream::Missing { epoch: 0 }),
+            };
             scalar(&objective.terms(&at, draw).unwrap()[0].value).unwrap()
         };
         (0..100).map(|_| loss()).sum::<f64>() / 100.0

@@ -18,7 +18,7 @@ mod unit;
 mod vectors;
 mod window;
 
-pub use super::observation::{Observation, Value};
+pub use super::observation::{Keeping, Observation, Value};
 pub use cvae::Cvae;
 pub use recurrent::Recurrent;
 
@@ -286,6 +286,8 @@ pub enum Draw<'a> {
         random: &'a mut Random,
         /// Probability with which a training step sets a value of the last convolution's output to zero.
         dropout: f64,
+        /// Supplies which inputs a window lacks.
+        missing: &'a mut Random,
     },
     /// The posterior's mean, for validation and test.
     Mean,
@@ -297,9 +299,30 @@ impl Draw<'_> {
     /// Returns the dropout of a batch; `None` if no value is set to zero.
     pub fn dropout(&mut self) -> Option<Dropout> {
         match self {
-            Self::Sample { random, dropout } if *dropout > 0.0 => Some(Dropout::new(*dropout, random.seed())),
+            Self::Sample { random, dropout, .. } if *dropout > 0.0 => {
+                Some(Dropout::new(*dropout, random.seed()))
+            }
             _ => None,
         }
+    }
+
+    /// Returns which of `windows` windows have each input that they lack with these probabilities. Each keeps at
+    /// least one of its `inputs` inputs. Nothing is lacking in validation and test.
+    pub fn keeping(&mut self, rates: &BTreeMap<Modality, f64>, inputs: usize, windows: usize) -> Keeping {
+        let Self::Sample { missing, .. } = self else { return Keeping::new() };
+        let mut keeping: Keeping = rates.keys().map(|modality| (*modality, vec![1.0; windows])).collect();
+        for window in 0..windows {
+            let lacking = loop {
+                let drawn: Vec<bool> = rates.values().map(|rate| missing.happens(*rate)).collect();
+                if drawn.iter().filter(|is_lacking| **is_lacking).count() < inputs {
+                    break drawn;
+                }
+            };
+            for (kept, is_lacking) in keeping.values_mut().zip(lacking) {
+                kept[window] = if is_lacking { 0.0 } else { 1.0 };
+            }
+        }
+        keeping
     }
 
     /// Returns one row of each `stride` rows of a batch, and of those that are left over at its end: a random row for

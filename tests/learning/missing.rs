@@ -1,0 +1,81 @@
+//! Inputs that a network does not get, in training or in a test.
+
+use super::changes::{BOTH, MEMORIES, WINDOW, bench, trained};
+use super::*;
+use harness_judge::Predictor;
+use harness_spec::ModalityDropout;
+
+#[test]
+fn a_missing_input_is_at_its_mean() {
+    let data = Bench::new().data;
+    let at = at(0..5);
+    let values =
+        |data: &NormalizedData, modality| match data.inputs(&at, &INPUT).unwrap().get(modality).unwrap() {
+            Value::Vector(vector) => vector.flatten_all().unwrap().to_vec1::<f32>().unwrap(),
+            Value::Frames(frames) => {
+                frames.tensor(&Device::Cpu).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
+            }
+        };
+    for (kept, missing) in [(INPUT[0], INPUT[1]), (INPUT[1], INPUT[0])] {
+        let some = data.giving(&[kept]);
+        assert_eq!(values(&some, kept), values(&data, kept));
+        assert!(values(&some, missing).iter().all(|value| *value == 0.0));
+        assert!(values(&data, missing).iter().any(|value| *value != 0.0));
+    }
+    // A predicted change is added to what the network got.
+    let some = data.giving(&[Modality::VISION]);
+    let mean = &data.normalizers.modalities[&Modality::PROPRIOCEPTION].mean;
+    assert_eq!(some.given_values(Modality::PROPRIOCEPTION, &at), mean.repeat(at.len()));
+    assert_eq!(some.given_values(Modality::VISION, &at), data.given_values(Modality::VISION, &at));
+}
+
+#[test]
+fn windows_lack_inputs_at_their_rates_but_never_all_of_them() {
+    let rates = BTreeMap::from([(Modality::ARM, 0.9), (Modality::VISION, 0.9)]);
+    let mut missing = Random::new(7, Stream::Missing { epoch: 0 });
+    let draw = |missing: &mut Random, inputs| {
+        Draw::Sample { random: &mut random(0), dropout: 0.0, missing }.keeping(&rates, inputs, 20_000)
+    };
+    let share = |kept: &[f32]| f64::from(kept.iter().sum::<f32>()) / kept.len() as f64;
+    // Of three inputs, the third one is always there.
+    let of_three = draw(&mut missing, 3);
+    assert!(of_three.values().all(|kept| (share(kept) - 0.1).abs() < 0.01));
+    // Of two, both lack with 0.81, which is drawn again.
+    let of_two = draw(&mut missing, 2);
+    assert!(of_two.values().all(|kept| (share(kept) - 0.1 / 0.19).abs() < 0.02));
+    let [arm, vision] = [Modality::ARM, Modality::VISION].map(|modality| &of_two[&modality]);
+    assert!(arm.iter().zip(vision).all(|(arm, vision)| arm + vision > 0.0));
+    assert!(Draw::Mean.keeping(&rates, 2, 5).is_empty());
+    assert_eq!(draw(&mut Random::new(7, Stream::Missing { epoch: 0 }), 3), of_three);
+}
+
+/// The terms of the loss, when all windows lack the joint angles in training, and when the network gets only the arm.
+#[test]
+fn a_window_that_lacks_an_input_has_the_loss_of_one_that_is_not_given() {
+    for memory in MEMORIES {
+        let (bench, network, _) = bench(memory, Family::None);
+        let only_arm = bench.data.giving(&[Modality::ARM]);
+        let losses = |data: &NormalizedData, rate: f64| {
+            let modality_dropout = ModalityDropout::Of([(Modality::PROPRIOCEPTION, rate)].into());
+            let training = Training { modality_dropout, ..bench.training.clone() };
+            let network = network.detached();
+            let objective = Prediction {
+                data,
+                network,
+                window: &WINDOW,
+                input: &BOTH,
+                output: &BOTH,
+                training: &training,
+            };
+            let (mut random, mut missing) = (random(3), Random::new(1, Stream::Missing { epoch: 0 }));
+            let draw = Draw::Sample { random: &mut random, dropout: 0.0, missing: &mut missing };
+            let terms = objective.terms(&bench.partition.test[..6], draw).unwrap();
+            terms.iter().map(|term| term.value.to_scalar::<f32>().unwrap().to_bits()).collect::<Vec<_>>()
+        };
+        assert_eq!(losses(&bench.data, 1.0), losses(&only_arm, 0.0), "{memory}");
+        assert_ne!(losses(&bench.data, 1.0), losses(&bench.data, 0.0), "{memory}");
+        let window = WINDOW;
+        let some = trained(&only_arm, network, &window);
+        assert_eq!(some.given(), Some(&[Modality::ARM][..]));
+    }
+}

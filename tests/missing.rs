@@ -1,0 +1,82 @@
+//! Tests of trained networks with some of their inputs, from the spec to tables and plots.
+
+use crate::common::{SMOKE, ask, fresh, succeed};
+use std::collections::BTreeMap;
+
+const RUN: [&str; 8] = [
+    "run",
+    SMOKE,
+    "scenarios=[empty]",
+    "input=[proprioception,arm]",
+    "output=[proprioception,contact_force]",
+    "outputs.proprioception.predict=change",
+    "window.horizon=2",
+    "window.context=3",
+];
+
+/// The overall R2 of the network by experiment, task, modality, horizon and what it got.
+const SCORES: &str = "select experiment, task, modality, direction, horizon, given, value from all_metrics where \
+                      model = 'network' and metric = 'r2' and \"index\" is null";
+
+#[test]
+fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
+    let results = fresh("missing");
+    let run = |more: &[&str]| succeed(&results, &[&RUN[..], more].concat());
+    run(&["network.memory=gru"]);
+    run(&["network.memory=gru", "name=some", "given=each"]);
+    let dropped = "training.modality_dropout={arm: 0.9}";
+    run(&["network.memory=gru", "name=dropped", "given=[[proprioception]]", dropped]);
+    let mut scores: BTreeMap<String, BTreeMap<Option<String>, Vec<f64>>> = BTreeMap::new();
+    for row in ask(&results, SCORES) {
+        let of_experiment = scores.entry(row["experiment"].as_str().unwrap().to_owned()).or_default();
+        let given = row["given"].as_str().map(str::to_owned);
+        of_experiment.entry(given).or_default().push(row["value"].as_f64().unwrap());
+    }
+    let [arm, angles] = ["arm", "proprioception"].map(|name| Some(name.to_owned()));
+    let some = &scores["some"];
+    assert_eq!(some.keys().cloned().collect::<Vec<_>>(), [None, arm.clone(), angles.clone()]);
+    // Prediction of two outputs at two horizons, and reconstruction of two inputs, of which the arm has two units.
+    assert_eq!(some.values().map(Vec::len).collect::<Vec<_>>(), [7; 3]);
+    // The test with all inputs is the one of a network that is tested with nothing else.
+    assert_eq!(some[&None], scores["smoke"][&None]);
+    assert!(some[&None] != some[&arm] && some[&arm] != some[&angles]);
+    assert_ne!(scores["dropped"][&None], some[&None]);
+
+    let sums = "select count(distinct given) as n, count(*) as all from sums where experiment = 'some'";
+    assert_eq!(ask(&results, sums)[0]["n"], 2);
+    let table =
+        |arguments: &[&str]| succeed(&results, &[&["compare", "some", "--metrics=r2"], arguments].concat());
+    let by = table(&["--by", "given"]);
+    for column in ["all inputs", "arm", "proprioception", "persistence", "ridge"] {
+        assert!(by.contains(column), "{by}");
+    }
+    assert!(!by.contains("persistence, all inputs"), "{by}");
+    let means = |arguments: &[&str]| -> Vec<serde_json::Value> {
+        let path = results.join("means.json");
+        table(&[arguments, &["--output", path.to_str().unwrap(), "--of=contact_force"]].concat());
+        serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap()
+    };
+    let of_network = |rows: Vec<serde_json::Value>| -> Vec<(Option<String>, f64)> {
+        let rows = rows.iter().filter(|row| row["model"] == "network");
+        rows.map(|row| (row["given"].as_str().map(str::to_owned), row["mean"].as_f64().unwrap())).collect()
+    };
+    let all = of_network(means(&["--by=given"]));
+    assert_eq!(
+        all.iter().map(|(given, _)| given.clone()).collect::<Vec<_>>(),
+        [None, arm.clone(), angles.clone()]
+    );
+    assert_eq!(of_network(means(&["--given=arm"])), [all[1].clone()]);
+    assert_eq!(of_network(means(&[])), [all[0].clone()]);
+    let against = of_network(means(&["--by=given", "--against=all inputs"]));
+    assert!((against[1].1 - (all[1].1 - all[0].1)).abs() < 1e-12, "{against:?}");
+
+    let svg = results.join("given.svg");
+    let plot =
+        ["plot", "some", "--x=given", "--metrics=r2", "--of=contact_force", "--models=network,ridge", "-o"];
+    succeed(&results, &[&plot[..], &[svg.to_str().unwrap()]].concat());
+    let drawn = std::fs::read_to_string(svg).unwrap();
+    assert!(drawn.contains("<svg"));
+    // The run of a spec that lists the tests explicitly is the same one.
+    let again = run(&["network.memory=gru", "name=some", "given=[[arm],[proprioception]]"]);
+    assert!(again.contains("0 done, 1 done before"), "{again}");
+}
