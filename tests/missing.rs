@@ -14,9 +14,9 @@ const RUN: [&str; 8] = [
     "window.context=3",
 ];
 
-/// The overall R2 of the network by experiment, task, modality, horizon and what it got.
+/// The overall RMSE of the network by experiment, task, modality, horizon and what it got.
 const SCORES: &str = "select experiment, task, modality, direction, horizon, given, value from all_metrics where \
-                      model = 'network' and metric = 'r2' and \"index\" is null";
+                      model = 'network' and metric = 'rmse' and \"index\" is null";
 
 #[test]
 fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
@@ -35,8 +35,8 @@ fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
     let [arm, angles] = ["arm", "proprioception"].map(|name| Some(name.to_owned()));
     let some = &scores["some"];
     assert_eq!(some.keys().cloned().collect::<Vec<_>>(), [None, arm.clone(), angles.clone()]);
-    // Prediction of two outputs at two horizons, and reconstruction of two inputs, of which the arm has two units.
-    assert_eq!(some.values().map(Vec::len).collect::<Vec<_>>(), [7; 3]);
+    // Two outputs at two horizons, whole and in two directions, and both inputs again, of which the arm has two units.
+    assert_eq!(some.values().map(Vec::len).collect::<Vec<_>>(), [17; 3]);
     // The test with all inputs is the one of a network that is tested with nothing else.
     assert_eq!(some[&None], scores["smoke"][&None]);
     assert!(some[&None] != some[&arm] && some[&arm] != some[&angles]);
@@ -45,7 +45,7 @@ fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
     let sums = "select count(distinct given) as n, count(*) as all from sums where experiment = 'some'";
     assert_eq!(ask(&results, sums)[0]["n"], 2);
     let table =
-        |arguments: &[&str]| succeed(&results, &[&["compare", "some", "--metrics=r2"], arguments].concat());
+        |arguments: &[&str]| succeed(&results, &[&["compare", "some", "--metrics=rmse"], arguments].concat());
     let by = table(&["--by", "given"]);
     for column in ["all inputs", "arm", "proprioception", "persistence", "ridge"] {
         assert!(by.contains(column), "{by}");
@@ -72,7 +72,7 @@ fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
 
     let svg = results.join("given.svg");
     let plot =
-        ["plot", "some", "--x=given", "--metrics=r2", "--of=contact_force", "--models=network,ridge", "-o"];
+        ["plot", "some", "--x=given", "--metrics=rmse", "--of=contact_force", "--models=network,ridge", "-o"];
     succeed(&results, &[&plot[..], &[svg.to_str().unwrap()]].concat());
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("<svg"));

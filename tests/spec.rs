@@ -129,25 +129,25 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
         (0, &Default::default())
     );
     assert_refused(&[
-        ("given: [[vision]]\n", "spec.yaml:8:10: unknown input 'vision'. Allowed: proprioception, arm"),
+        ("given: [[vision]]\n", "spec.yaml:7:10: unknown input 'vision'. Allowed: proprioception, arm"),
         (
             "given: some\n",
-            "spec.yaml:8:8: 'given': expected a list of items, each one of all, each, without_each or a list of at \
+            "spec.yaml:7:8: 'given': expected a list of items, each one of all, each, without_each or a list of at \
              least one item, each one of proprioception, arm, contact_force, contact_force_mean, vision, \
              frame_difference, or a modality of another world or dataset, found the text 'some'",
         ),
         (
             "training: {modality_dropout: {vision: 0.1}}\n",
-            "spec.yaml:8:39: unknown input 'vision'. Allowed: proprioception, arm",
+            "spec.yaml:7:39: unknown input 'vision'. Allowed: proprioception, arm",
         ),
         (
             "training: {modality_dropout: 1}\n",
-            "spec.yaml:8:30: 'training.modality_dropout': expected a finite number of at least 0 and below 1 or a \
+            "spec.yaml:7:30: 'training.modality_dropout': expected a finite number of at least 0 and below 1 or a \
              section of keys, found 1",
         ),
         (
             "outputs: {proprioception: {predict: change}}\ntraining: {modality_dropout: 0.1}\n",
-            "spec.yaml:9:30: the change of 'proprioception' is added to the input 'proprioception', so no window may \
+            "spec.yaml:8:30: the change of 'proprioception' is added to the input 'proprioception', so no window may \
              lack it; give a rate for each other input, or predict the value of 'proprioception'",
         ),
     ]);
