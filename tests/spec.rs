@@ -132,8 +132,7 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
         ("given: [[vision]]\n", "spec.yaml:7:10: unknown input 'vision'. Allowed: proprioception, arm"),
         (
             "given: some\n",
-            "spec.yaml:7:8: 'given': expected a list of items, each one of all, each, without_each or a list of at \
-             least one item, each one of proprioception, arm, contact_force, contact_force_mean, vision, \
+            "spec.yaml:7:8: 'given': expected one of all, each, without_each or a list of at least one item, each one of proprioception, arm, contact_force, contact_force_mean, vision, \
              frame_difference, or a modality of another world or dataset, found the text 'some'",
         ),
         (
