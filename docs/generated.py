@@ -164,6 +164,8 @@ class Keys:
         found = self.resolve(schema)
         if "oneOf" in found:
             return found["oneOf"]
+        if "anyOf" in found:
+            return [value for choice in found["anyOf"] for value in self.choices(choice)]
         repeated = found.get("items") or found.get("additionalProperties")
         return self.choices(repeated) if isinstance(repeated, dict) else []
 

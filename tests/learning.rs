@@ -39,6 +39,8 @@ use walks::{walks, walks_of};
 mod additions;
 #[path = "learning/changes.rs"]
 mod changes;
+#[path = "learning/disturbed.rs"]
+mod disturbed;
 #[path = "common/finger.rs"]
 mod finger;
 #[path = "learning/heads.rs"]

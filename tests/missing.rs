@@ -1,4 +1,4 @@
-//! Tests of trained networks with some of their inputs, from the spec to tables and plots.
+//! Tests of trained networks with some of their inputs or with disturbed ones, from the spec to tables and plots.
 
 use crate::common::{SMOKE, ask, fresh, succeed};
 use std::collections::BTreeMap;
@@ -79,4 +79,37 @@ fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
     // The run of a spec that lists the tests explicitly is the same one.
     let again = run(&["network.memory=gru", "name=some", "given=[[arm],[proprioception]]"]);
     assert!(again.contains("0 done, 1 done before"), "{again}");
+}
+
+#[test]
+fn a_network_is_trained_and_tested_with_disturbed_inputs() {
+    let results = fresh("disturbed");
+    let run = |more: &[&str]| succeed(&results, &[&RUN[..], &["tasks=[prediction]"], more].concat());
+    let given = "given=[{arm: {}, proprioception: {}}, {arm: {noise: 0.5}, proprioception: {}}]";
+    run(&["name=clean", given]);
+    run(&["name=noisy", "inputs.arm.noise=0.5"]);
+    let scores = |experiment: &str, model: &str, given: &str| -> Vec<f64> {
+        let sql = format!(
+            "select value from all_metrics where experiment = '{experiment}' and model = '{model}' and metric = 'rmse' \
+             and \"index\" is null and given {given} order by modality, direction, horizon"
+        );
+        ask(&results, &sql).iter().map(|row| row["value"].as_f64().unwrap()).collect()
+    };
+    let usual = scores("clean", "network", "is null");
+    assert_eq!(scores("clean", "network", "= 'arm,proprioception'"), usual);
+    let noisy = scores("clean", "network", "= 'arm noise=0.5,proprioception'");
+    assert!(usual.len() == noisy.len() && usual != noisy && usual.len() == 12);
+    assert_ne!(scores("noisy", "network", "is null"), usual);
+    // Ridge regression gets what the network gets, and persistence repeats what was recorded.
+    assert_ne!(scores("noisy", "ridge", "is null"), scores("clean", "ridge", "is null"));
+    assert_eq!(scores("noisy", "persistence", "is null"), scores("clean", "persistence", "is null"));
+    let table = succeed(&results, &["compare", "clean", "--by=given", "--metrics=rmse", "--models=network"]);
+    for column in ["all inputs", "proprioception + arm", "proprioception + arm noise=0.5"] {
+        assert!(table.contains(column), "{table}");
+    }
+    let table = succeed(
+        &results,
+        &["compare", "clean", "noisy", "--by=inputs.arm.noise", "--metrics=rmse", "--models=network"],
+    );
+    assert!(table.contains("arm.noise=0 ") && table.contains("arm.noise=0.5"), "{table}");
 }

@@ -125,3 +125,29 @@ fn runs_on_several_datasets_share_one_test() {
     succeed(&results, &with("collect", &[]));
     succeed(&results, &["verify"]);
 }
+
+#[test]
+fn a_test_has_factors_of_its_own() {
+    let results = fresh("own-test-factors");
+    let spec = ["run", SMOKE, SPEC[1], SPEC[2], SPEC[4]];
+    let vectors = ["input=[proprioception]", "output=[proprioception,contact_force]"];
+    let run = |name: &str, more: &[&str]| {
+        succeed(&results, &[&spec[..], &vectors, &[&format!("name={name}")], more].concat());
+        let sql = format!(
+            "select value from metrics where experiment = '{name}' and model = 'persistence' and metric = 'rmse' and \
+             modality = 'contact_force' and \"index\" is null"
+        );
+        let value = ask(&results, &sql)[0]["value"].as_f64().unwrap();
+        let record = records(&results).into_iter().find(|record| record.experiment == name).unwrap();
+        (value, record.tested().to_owned())
+    };
+    let plain = run("plain", &[]);
+    let softer = run("softer", &["test.factors=[finger_stiffness]"]);
+    // Trained with a factor, and tested without it, on the same test as the first run.
+    let varied = run("varied", &["simulation.factors=[finger_friction]", "test.factors=[]"]);
+    assert_eq!(varied, plain);
+    assert!(softer.0 != plain.0 && softer.1 != plain.1, "{softer:?} {plain:?}");
+    let wrong = finish(&mut harness(&results, &[&spec[..], &["test.factors=[stiffness]"]].concat()));
+    assert!(wrong.stderr.contains("unknown factor 'stiffness' in 'test.factors'"), "{}", wrong.stderr);
+    assert!(wrong.stderr.contains("finger_stiffness") && wrong.code == 2, "{}", wrong.stderr);
+}

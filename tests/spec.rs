@@ -74,6 +74,7 @@ fn what_is_left_out_gets_its_default() {
         input: vec![Modality::PROPRIOCEPTION, Modality::ARM],
         output: vec![Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE],
         outputs: Default::default(),
+        inputs: Default::default(),
         latent: vec![2, 4],
         seeds: vec![0],
         tasks: vec![Task::Prediction, Task::Reconstruction],
@@ -148,6 +149,46 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
             "outputs: {proprioception: {predict: change}}\ntraining: {modality_dropout: 0.1}\n",
             "spec.yaml:8:30: the change of 'proprioception' is added to the input 'proprioception', so no window may \
              lack it; give a rate for each other input, or predict the value of 'proprioception'",
+        ),
+    ]);
+}
+
+#[test]
+fn only_inputs_are_disturbed_by_what_they_can_have() {
+    let runs = |text: &str| load(&format!("{BASE}{text}")).runs();
+    let hash = |text: &str| runs(text)[0].hash();
+    assert_eq!(hash("inputs: {arm: {noise: 0}}\n"), hash(""));
+    assert_ne!(hash("inputs: {arm: {noise: 0.1}}\n"), hash(""));
+    let run = runs("given: [without_each, {arm: {delay: 2, noise: 0.1}, proprioception: {}}]\n").remove(0);
+    let names: Vec<&str> = run.given.iter().map(spec::Given::name).collect();
+    assert_eq!(names, ["proprioception", "arm", "arm noise=0.1 delay=2,proprioception"]);
+    // A model of another program gets what was recorded.
+    let external = runs("inputs: {arm: {noise: 0.1}}\ngiven: each\n").remove(0).external("other", "", 0);
+    assert!(external.inputs.is_empty() && external.given.is_empty());
+    // Runs without the input have no disturbance of it.
+    let varied = "inputs: {arm: {noise: 0.1}}\nvary: {input: {without: each}}\n";
+    let disturbed: Vec<usize> = runs(varied).iter().map(|run| run.inputs.len()).collect();
+    assert_eq!(disturbed.iter().sum::<usize>() * 3, disturbed.len() * 2, "{disturbed:?}");
+    let levels = runs("vary: {inputs.arm.noise: [0, 0.1]}\n");
+    assert!(levels.iter().any(|run| run.variant == "arm.noise=0.1") && levels[0].inputs.is_empty());
+    assert_refused(&[
+        (
+            "inputs: {contact_force: {noise: 0.1}}\n",
+            "spec.yaml:7:26: unknown input 'contact_force'. Allowed: proprioception, arm; only inputs are disturbed",
+        ),
+        (
+            "given: [{arm: {blur: 1}}]\n",
+            "spec.yaml:7:22: 'arm' is a vector, which has no blur; use noise, bias, drift, delay, dropped or dead",
+        ),
+        ("given: [{}]\n", "spec.yaml:7:9: a network needs an input; name at least one"),
+        (
+            "inputs: {arm: {noise: -1}}\n",
+            "spec.yaml:7:23: 'inputs.arm.noise': expected a finite number of at least 0 and at most 1000, found -1",
+        ),
+        (
+            "inputs: {arm: {lag: 1}}\n",
+            "spec.yaml:7:16: unknown key 'lag' in 'inputs.arm'. Allowed: noise, bias, drift, delay, dropped, dead, \
+             occlusion, blur",
         ),
     ]);
 }
@@ -1875,6 +1916,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         input,
         output,
         outputs: Default::default(),
+        inputs: one.iter().map(|one| (*one, spec::Disturbance { delay: 2, ..Default::default() })).collect(),
         latent: some(&[1, 2, 16, 4096], random),
         seeds: some(&[0, 1, spec::MAX_SEED], random),
         tasks: if random.random() { vec![Task::Prediction] } else { Task::ALL.to_vec() },

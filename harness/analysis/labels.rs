@@ -116,7 +116,8 @@ impl Labels {
 
     /// The name of what a model got; `None` for all of its run's input, which comes first.
     pub fn given(&self, given: Option<&str>) -> Label {
-        let name = given.map_or("all inputs".to_owned(), |given| joined(&modalities(given)));
+        let name =
+            given.map_or("all inputs".to_owned(), |given| joined(&given.split(',').collect::<Vec<_>>()));
         Label { place: usize::from(given.is_some()), name: Natural::new(name) }
     }
 
@@ -146,11 +147,12 @@ fn modalities(text: &str) -> Vec<&str> {
     text.split(|character| !is_name(character)).filter(|name| !name.is_empty()).collect()
 }
 
-/// The names of modalities, in the order of [`Modality`].
+/// The names of modalities, each with what is wrong with its sensor, in the order of [`Modality`].
 fn joined(names: &[&str]) -> String {
-    let mut modalities: Vec<Modality> = names.iter().filter_map(|name| Modality::new(name)).collect();
-    modalities.sort();
-    modalities.into_iter().map(Modality::name).collect::<Vec<_>>().join(" + ")
+    let modality = |name: &&str| Modality::new(name.split(' ').next().unwrap_or_default());
+    let mut names: Vec<&str> = names.iter().copied().filter(|name| modality(name).is_some()).collect();
+    names.sort_by_key(modality);
+    names.join(" + ")
 }
 
 /// The one of several inputs that has all modalities, if each of the others lacks exactly one of them.

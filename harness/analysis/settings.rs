@@ -229,7 +229,9 @@ fn is_simulated(run: &Settings) -> bool {
 /// The run's value of the setting `key`, or its label of the axis with this name, or [`UNSET`].
 pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
     let label = || is_axis(key).then(|| label_in(run.get(VARIANT)?, key)).flatten();
-    run.get(key).map(String::as_str).or_else(label).unwrap_or(UNSET)
+    // A spec has no disturbances of strength 0.
+    let undisturbed = || key.starts_with("inputs.").then_some("0");
+    run.get(key).map(String::as_str).or_else(label).or_else(undisturbed).unwrap_or(UNSET)
 }
 
 /// The names of what a variant has values or labels of: settings without their section, and axes.

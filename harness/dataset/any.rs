@@ -6,7 +6,7 @@ use super::{Dataset, DatasetError, Imported};
 use harness_samples::{FramePlace, Recording, Samples};
 use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
-use harness_spec::{Definition, Element, Episode, Layout};
+use harness_spec::{Definition, Element, Episode, Layout, Modality};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -91,7 +91,7 @@ impl AnyDataset {
     }
 
     /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
-    /// Both must have the same modalities.
+    /// Both must have the same modalities. If their factors of variation differ, the samples have none.
     ///
     /// # Errors
     /// See [`AnyDataset::load`].
@@ -102,7 +102,12 @@ impl AnyDataset {
         progress: &dyn Progress,
     ) -> Result<Samples, DatasetError> {
         let all = self.len() + test.map_or(0, Self::len);
-        let mut samples = Samples::new(self.recording(), self.layout().clone(), all, frames, self.folder())?;
+        let factors = |dataset: &Self| dataset.layout().get(Modality::FACTORS).cloned();
+        let layout = match test {
+            Some(test) if factors(test) != factors(self) => Arc::new(self.layout().without_factors()),
+            _ => self.layout().clone(),
+        };
+        let mut samples = Samples::new(self.recording(), layout, all, frames, self.folder())?;
         let push = |dataset: &Self, samples: &mut Samples| {
             let read = |index: u32| dataset.read(index, frames != FramePlace::Nowhere);
             push_all(samples, dataset.episodes(), read, progress)
@@ -126,7 +131,9 @@ impl AnyDataset {
 
     /// Says in what the samples of another dataset differ from those of this one; `None` if networks can't tell.
     pub fn difference(&self, other: &Self) -> Option<String> {
-        let (name, here, there) = (other.name(), self.layout(), other.layout());
+        // No network gets the factors.
+        let [here, there] = [self, other].map(|dataset| dataset.layout().without_factors());
+        let name = other.name();
         if let Some(missing) = here.names().find(|modality| there.get(*modality).is_none()) {
             return Some(format!("{name} has no {missing}"));
         }

@@ -78,8 +78,8 @@ fn baselines(
         }
     }
     if task == Task::Prediction {
-        let given =
-            Given { samples, normalizers: &data.normalizers, action: data.action, input: &spec.input };
+        let (sensed, normalizers) = (&**data.sensed(), &*data.normalizers);
+        let given = Given { samples, sensed, normalizers, action: data.action, input: &spec.input };
         for &horizon in &horizons {
             if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
                 add(&ridge)?;

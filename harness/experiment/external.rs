@@ -539,7 +539,7 @@ fn digest(recorded: &[Recorded]) -> String {
     for predictor in recorded {
         for ((modality, horizon), values) in predictor.values() {
             let given: Option<Vec<&str>> =
-                predictor.given().map(|given| given.iter().map(|modality| modality.name()).collect());
+                predictor.inputs().map(|given| given.iter().map(|modality| modality.name()).collect());
             hash.update(format!("{given:?} {modality} {horizon} {}\n", values.len()));
             values.iter().for_each(|value| hash.update(value.to_le_bytes()));
         }

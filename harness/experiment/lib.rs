@@ -24,7 +24,7 @@ pub use worlds::results;
 use evaluate::References;
 use harness_collection::{CollectionError, collect, collect_together, dataset_of};
 use harness_dataset::{AnyDataset, Dataset, DatasetError, Imported};
-use harness_judge::{JudgeError, MetricRow, Predictor, Test, given, judge};
+use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Network, Parameters, architecture};
@@ -45,7 +45,7 @@ use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Device, Experiment, Layout, RunSpec, Task, Trained, World};
+use harness_spec::{Device, Experiment, Given, Layout, RunSpec, Task, Trained, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::collections::HashMap;
@@ -292,7 +292,7 @@ impl Planned {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
             let data = (&spec.scenario, &spec.simulation, &spec.split, &spec.test, &spec.window);
-            let form = (&spec.input, &spec.output, &spec.tasks, spec.action, &spec.scaling);
+            let form = (&spec.input, &spec.inputs, &spec.output, &spec.tasks, spec.action, &spec.scaling);
             (data, form, device(spec))
         }
         key(self) == key(other)
@@ -471,6 +471,7 @@ impl<'a> Runner<'a> {
             Normalizers::fit(&samples, &partition.training, &spec.scalings(samples.layout()), spec.action);
         let (samples, normalizers) = (Arc::new(samples), Arc::new(normalizers));
         let data = NormalizedData::new(samples, normalizers, spec.action, candle_core::Device::Cpu);
+        let data = data.disturbed(&spec.inputs, "training").map_err(DatasetError::from)?;
         let bytes = Samples::bytes(source.dataset.layout(), source.len(), frames);
         Ok(OpenData { data, partition, bytes, seconds: begin.elapsed().as_secs_f64() })
     }
@@ -606,7 +607,8 @@ impl TrainingRun<'_> {
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
         let Prediction { network, window, input, output, .. } = objective;
-        for data in std::iter::once(data.clone()).chain(self.with_some_inputs()) {
+        for data in std::iter::once(Ok(data.clone())).chain(self.tests()) {
+            let data = data?;
             let (own, draws) = (network.detached(), self.trained.network.draws);
             let trained =
                 TrainedNetwork { data: &data, network: own, input, output, window, draws, seed: spec.seed };
@@ -614,7 +616,7 @@ impl TrainingRun<'_> {
             let begin = Instant::now();
             let test = &self.prepared.open.partition.test;
             let divergences = trained.divergences(test).map_err(LearningError::from)?;
-            let (model, given) = (trained.name().to_owned(), data.given().map(given));
+            let (model, given) = (trained.name().to_owned(), trained.given());
             let horizon = window.first_horizon();
             let row = |row| MetricRow { task, model: model.clone(), horizon, given, row };
             outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
@@ -623,9 +625,18 @@ impl TrainingRun<'_> {
         Ok((network, parameters))
     }
 
-    /// Returns the data of each test in which the network gets only some of its inputs.
-    fn with_some_inputs(&self) -> impl Iterator<Item = NormalizedData> {
-        self.spec.given.iter().map(|inputs| self.data.giving(inputs))
+    /// Returns the data of each test besides that with all inputs.
+    ///
+    /// The data are made when they are needed, because disturbed images may be large.
+    fn tests(&self) -> impl Iterator<Item = Result<NormalizedData, ExperimentError>> {
+        let data = |given: &Given| {
+            let data = self.data.giving(given.inputs(), given.name());
+            match given {
+                Given::Disturbed(inputs) => data.disturbed(inputs, "test").map_err(DatasetError::from),
+                _ => Ok(data),
+            }
+        };
+        self.spec.given.iter().map(move |given| Ok(data(given)?))
     }
 
     /// Trains and evaluates a new decoder on the latent states of the frozen network.
@@ -649,7 +660,8 @@ impl TrainingRun<'_> {
         let decoder = objective.decoder.detached();
         let trained = TrainedDecoder { data, latents: &latents, decoder, output: &spec.input };
         self.judge(task, &trained, outcome)?;
-        for data in self.with_some_inputs() {
+        for data in self.tests() {
+            let data = data?;
             let begin = Instant::now();
             let latents = Latents::of(network, &data, &spec.input, &spec.window);
             let latents = latents.map_err(LearningError::from)?;

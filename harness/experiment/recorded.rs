@@ -183,7 +183,8 @@ fn setpoint_notes(
     let scalings = Scalings::from([(Modality::SETPOINT, scaling)]);
     let action = Action::Target;
     let normalizers = Normalizers::fit(samples, &partition.training, &scalings, action);
-    let given = Given { samples, normalizers: &normalizers, action, input: &[Modality::SETPOINT] };
+    let given =
+        Given { samples, sensed: samples, normalizers: &normalizers, action, input: &[Modality::SETPOINT] };
     let mut notes = Vec::new();
     for &modality in output {
         if let Some(element) = equal_element(samples, modality) {

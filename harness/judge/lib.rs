@@ -14,7 +14,7 @@ pub use nearest::NearestNeighbors;
 pub use persistence::Persistence;
 pub use recorded::{Asked, Recorded, RecordedError, RecordedValue};
 pub use ridge::{Given, Ridge};
-pub use rows::{FrameRow, MetricRow, Of, PredictionRow, SumRow, given, is_usual};
+pub use rows::{FrameRow, MetricRow, Of, PredictionRow, SumRow, is_usual};
 pub use training_mean::TrainingMean;
 
 use harness_metrics::{Ensemble, Evaluation, ForceEvaluation, Forces, MetricsError, Points, Row, parts};
@@ -87,8 +87,9 @@ pub trait Predictor {
     /// Returns the name in the column `model`.
     fn name(&self) -> &str;
 
-    /// Returns the modalities that it got; `None` if these are all that its run lists as input.
-    fn given(&self) -> Option<&[Modality]> {
+    /// Returns the names of the modalities that it got, as in the column `given`; `None` if these are all that its run
+    /// lists as input.
+    fn given(&self) -> Option<&'static str> {
         None
     }
 
@@ -138,7 +139,7 @@ pub fn judge(predictor: &dyn Predictor, test: &Test) -> Result<Judged, JudgeErro
     let mut later = BTreeMap::<(Modality, usize, u32), Evaluation>::new();
     let mut forces = BTreeMap::<(Modality, usize), ForceEvaluation>::new();
     let mut judged = Judged::default();
-    let given = predictor.given().map(rows::given);
+    let given = predictor.given();
     for at in test.windows.chunks(BATCH) {
         predictor.predict(at, &mut |predicted| {
             let Predicted { modality, horizon, values, ensemble } = predicted;

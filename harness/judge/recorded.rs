@@ -3,7 +3,7 @@
 use super::{JudgeError, Predicted, Predictor, Receive};
 use harness_samples::{Sample, Samples};
 use harness_shared::numbers::counted;
-use harness_spec::Modality;
+use harness_spec::{Given, Modality};
 use std::collections::BTreeMap;
 
 /// A predicted value.
@@ -226,6 +226,11 @@ impl<'a> Recorded<'a> {
         Self { given, ..self }
     }
 
+    /// Returns the modalities that the model got; `None` if these were all inputs.
+    pub fn inputs(&self) -> Option<&[Modality]> {
+        self.given.as_deref()
+    }
+
     /// Returns the values by modality and horizon, `[windows, width]`.
     pub fn values(&self) -> &Values {
         &self.values
@@ -247,8 +252,8 @@ impl Predictor for Recorded<'_> {
         &self.model
     }
 
-    fn given(&self) -> Option<&[Modality]> {
-        self.given.as_deref()
+    fn given(&self) -> Option<&'static str> {
+        self.given.clone().map(|inputs| Given::Inputs(inputs).name())
     }
 
     fn predict(&self, at: &[Sample], receive: &mut Receive) -> Result<(), JudgeError> {

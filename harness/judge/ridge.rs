@@ -16,6 +16,8 @@ const ALPHA: f64 = 1.0;
 pub struct Given<'a> {
     /// The dataset.
     pub samples: &'a Samples,
+    /// The samples as the model's sensors give them.
+    pub sensed: &'a Samples,
     /// The normalizers of the input and the action.
     pub normalizers: &'a Normalizers,
     /// Which quantity is used as the action.
@@ -83,8 +85,8 @@ impl Given<'_> {
     /// Returns the normalized inputs at the samples `at`, `[at, inputs]`: the next `horizon` actions, the vectors, and
     /// the images reduced to small gray ones.
     pub(super) fn values(&self, at: &[Sample], horizon: usize) -> Result<Vec<f32>, MetricsError> {
-        let Given { samples, normalizers, action, input } = *self;
-        let vectors = normalizers.vectors(samples, at, input);
+        let Given { samples, sensed, normalizers, action, input } = *self;
+        let vectors = normalizers.vectors(sensed, at, input);
         let steps = |sample: &Sample| (0..horizon).map(|step| sample.after(step)).collect::<Vec<_>>();
         let steps: Vec<Sample> = at.iter().flat_map(steps).collect();
         let actions = normalizers.actions(samples, &steps, action);
@@ -95,7 +97,7 @@ impl Given<'_> {
             let mut values = row_of(&actions, row, at.len()).to_vec();
             values.extend_from_slice(row_of(&vectors, row, at.len()));
             for (modality, size) in &images {
-                let mut frame = physical(samples, *modality, &[sample]);
+                let mut frame = physical(sensed, *modality, &[sample]);
                 normalizers.modalities[modality].normalize(&mut frame);
                 values.extend(downsample_frame(&frame, *size)?);
             }

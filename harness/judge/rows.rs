@@ -3,7 +3,7 @@
 use super::{Predicted, Test};
 use harness_metrics::{EpisodeSums, Row};
 use harness_samples::Sample;
-use harness_spec::{Modality, Task, intern};
+use harness_spec::{Modality, Task};
 
 /// A value that a predictor got in a test, with the columns that say which test. Those that identify the run are left
 /// out.
@@ -66,13 +66,6 @@ pub struct FrameRow {
     pub reference: Vec<u8>,
     /// The predicted image, likewise.
     pub predicted: Vec<u8>,
-}
-
-/// Returns the names of modalities as the tables list them: `arm,proprioception`, or nothing.
-pub fn given(modalities: &[Modality]) -> &'static str {
-    let mut names: Vec<&str> = modalities.iter().map(|modality| modality.name()).collect();
-    names.sort_unstable();
-    intern(&names.join(","))
 }
 
 /// Whether a row is of the nearest sample that its task predicts, by a predictor that got all inputs. The tables

@@ -419,6 +419,13 @@ impl Layout {
         FINGER.clone()
     }
 
+    /// Returns the layout without the modality [`Modality::FACTORS`], which is the last one.
+    pub fn without_factors(&self) -> Self {
+        let mut layout = self.clone();
+        layout.modalities.retain(|definition| definition.name != Modality::FACTORS);
+        layout
+    }
+
     /// Returns the layout with the modality [`Modality::FACTORS`] added, which has these elements.
     pub fn with_factors(&self, elements: Vec<Element>) -> Self {
         let mut layout = self.clone();

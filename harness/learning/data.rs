@@ -4,8 +4,8 @@ use super::observation::{Observation, Value};
 use candle_core::{DType, Device, Result, Tensor};
 use harness_ops::frames::{Images, SampleFrames};
 use harness_ops::{Values, input};
-use harness_samples::{Normalizers, Sample, Samples, physical};
-use harness_spec::{Action, Modality};
+use harness_samples::{FramesError, Normalizers, Sample, Samples, physical};
+use harness_spec::{Action, Disturbances, Modality};
 use std::collections::{BTreeMap, btree_map::Entry};
 use std::sync::{Arc, Mutex};
 
@@ -20,8 +20,10 @@ pub struct NormalizedData {
     pub action: Action,
     /// The device on which tensors are created.
     pub device: Device,
-    /// The inputs that a network gets; `None` for all that it has.
-    given: Option<Vec<Modality>>,
+    /// The inputs that a network gets, and their name in the tables; `None` for all that it has.
+    given: Option<(Vec<Modality>, &'static str)>,
+    /// What a network gets if its sensors are disturbed.
+    seen: Option<Arc<Self>>,
     /// What is copied to the device once.
     tables: Arc<Mutex<BTreeMap<Table, Tensor>>>,
     /// The images of all samples, on a GPU.
@@ -43,26 +45,52 @@ impl NormalizedData {
     /// Normalizes `samples`, whose `action` the network gets, for a network on `device`.
     pub fn new(samples: Arc<Samples>, normalizers: Arc<Normalizers>, action: Action, device: Device) -> Self {
         let (tables, images) = (Arc::default(), Images::default());
-        Self { samples, normalizers, action, device, given: None, tables, images }
+        Self { samples, normalizers, action, device, given: None, seen: None, tables, images }
     }
 
-    /// Returns the same data for a network that gets only these of its inputs.
-    pub fn giving(&self, inputs: &[Modality]) -> Self {
-        Self { given: Some(inputs.to_vec()), ..self.clone() }
+    /// Returns the same data for a network that gets only these of its inputs, which tables call `name`.
+    pub fn giving(&self, inputs: Vec<Modality>, name: &'static str) -> Self {
+        Self { given: Some((inputs, name)), ..self.clone() }
     }
 
-    /// Returns the inputs that a network gets; `None` for all that it has.
-    pub fn given(&self) -> Option<&[Modality]> {
-        self.given.as_deref()
+    /// Returns the same data for a network whose sensors are disturbed, and have no other disturbances. `purpose` names
+    /// the random streams; see [`Samples::disturbed`].
+    ///
+    /// # Errors
+    /// When frames can't be written to disk.
+    pub fn disturbed(&self, inputs: &Disturbances, purpose: &str) -> std::result::Result<Self, FramesError> {
+        if inputs.is_empty() {
+            return Ok(Self { seen: None, ..self.clone() });
+        }
+        let Self { samples, normalizers, action, device, .. } = self.clone();
+        let samples = Arc::new(samples.disturbed(inputs, &normalizers, purpose)?);
+        let seen = Some(Arc::new(Self::new(samples, normalizers, action, device)));
+        Ok(Self { seen, ..self.clone() })
+    }
+
+    /// Returns the samples as a network's sensors give them.
+    pub fn sensed(&self) -> &Arc<Samples> {
+        &self.seen().samples
+    }
+
+    fn seen(&self) -> &Self {
+        self.seen.as_deref().unwrap_or(self)
+    }
+
+    /// Returns what tables call the inputs that a network gets; `None` for all that it has.
+    pub fn given(&self) -> Option<&'static str> {
+        self.given.as_ref().map(|(_, name)| *name)
     }
 
     fn is_given(&self, modality: Modality) -> bool {
-        self.given.as_ref().is_none_or(|given| given.contains(&modality))
+        self.given.as_ref().is_none_or(|(inputs, _)| inputs.contains(&modality))
     }
 
     /// Returns the same data for a network on another device.
     pub fn on(&self, device: Device) -> Self {
-        Self::new(self.samples.clone(), self.normalizers.clone(), self.action, device)
+        let seen = self.seen.as_ref().map(|seen| Arc::new(seen.on(device.clone())));
+        let on_device = Self::new(self.samples.clone(), self.normalizers.clone(), self.action, device);
+        Self { given: self.given.clone(), seen, ..on_device }
     }
 
     /// Returns the same data for a network that predicts changes of `modalities`, until `horizon` samples after each of
@@ -78,14 +106,14 @@ impl NormalizedData {
     }
 
     /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of
-    /// `modalities`, or their changes since `present`.
+    /// `modalities`, or their changes since what it got at `present`.
     pub fn targets(&self, at: &[Sample], present: &[Sample], modalities: &[Modality]) -> Result<Observation> {
         let changes = &self.normalizers.changes;
         let (changed, valued): (Vec<Modality>, Vec<Modality>) =
             modalities.iter().partition(|modality| changes.contains_key(modality));
         let values = self.observation(at, &valued)?;
         let change = |modality: Modality| {
-            let change = (self.vectors(at, modality)? - self.vectors(present, modality)?)?;
+            let change = (self.vectors(at, modality)? - self.seen().vectors(present, modality)?)?;
             let factors = self.table(Table::Change(modality), || {
                 let ratios = &self.normalizers.change_ratios()[&modality];
                 Tensor::from_vec(
@@ -105,12 +133,12 @@ impl NormalizedData {
     pub fn inputs(&self, at: &[Sample], inputs: &[Modality]) -> Result<Observation> {
         let missing = inputs.iter().filter(|modality| !self.is_given(**modality));
         let kept = missing.map(|modality| (*modality, vec![0.0])).collect();
-        self.observation(at, inputs)?.keeping(&kept)
+        self.seen().observation(at, inputs)?.keeping(&kept)
     }
 
     /// Returns the values of a modality that a network gets at the samples `at`, in physical units, `[at, width]`.
     pub fn given_values(&self, modality: Modality, at: &[Sample]) -> Vec<f32> {
-        let mut values = physical(&self.samples, modality, at);
+        let mut values = physical(self.sensed(), modality, at);
         if !self.is_given(modality) {
             values.fill(0.0);
             self.normalizers.modalities[&modality].denormalize(&mut values);

@@ -340,7 +340,7 @@ impl Predictor for TrainedNetwork<'_> {
         models::NETWORK
     }
 
-    fn given(&self) -> Option<&[Modality]> {
+    fn given(&self) -> Option<&'static str> {
         self.data.given()
     }
 
@@ -387,7 +387,7 @@ impl Predictor for TrainedDecoder<'_> {
         models::NETWORK
     }
 
-    fn given(&self) -> Option<&[Modality]> {
+    fn given(&self) -> Option<&'static str> {
         self.data.given()
     }
 

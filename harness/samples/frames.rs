@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// training takes memory too, and because the system caches as much of the file as fits in free memory.
 const MEMORY_SHARE: u64 = 8;
 /// Number of frames that are converted to channel order at once before they are written to disk.
-const FRAMES_AT_ONCE: usize = 256;
+pub(super) const FRAMES_AT_ONCE: usize = 256;
 /// Number of frames that are read from disk before their pages are released, so that they don't count as this process's
 /// memory. The system maps 64 KiB around each frame, which is at most half a gigabyte for this number.
 const FRAMES_HELD: usize = 8192;
@@ -69,6 +69,35 @@ impl FrameStore {
             FramePlace::Disk => Kept::Disk(FrameFile::new(len, folder)?),
         };
         Ok(Self { len, kept })
+    }
+
+    /// Returns an empty store for `samples` frames of the same size, in the same place.
+    pub fn empty(&self, samples: usize, folder: &Path) -> io::Result<Self> {
+        let place = match &self.kept {
+            Kept::Memory(_) => FramePlace::Memory,
+            Kept::Disk(_) => FramePlace::Disk,
+        };
+        Self::new(place, self.len, samples, folder)
+    }
+
+    /// Appends frames in the order of this store, `[frame, channel, row, column]`. They are readable after
+    /// [`finish`](Self::finish).
+    pub fn append(&mut self, planes: &[u8]) -> io::Result<()> {
+        match &mut self.kept {
+            Kept::Memory(frames) => {
+                frames.extend_from_slice(planes);
+                Ok(())
+            }
+            Kept::Disk(file) => file.append(planes),
+        }
+    }
+
+    /// Makes all appended frames readable.
+    pub fn finish(&mut self) -> io::Result<()> {
+        match &mut self.kept {
+            Kept::Memory(_) => Ok(()),
+            Kept::Disk(file) => file.map_again(),
+        }
     }
 
     /// Appends frames in the order of cameras and files, `[frame, row, column, channel]`.

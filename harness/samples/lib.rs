@@ -1,6 +1,7 @@
 //! A dataset in memory: its samples, the windows and splits of them, and their normalization.
 
 mod constant;
+mod disturb;
 mod frames;
 mod labels;
 mod normalizer;
@@ -42,7 +43,7 @@ pub struct Recording {
 }
 
 /// All samples of a dataset. The samples of an episode follow those of the previous one.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Samples {
     recording: Recording,
     /// The range of each episode's samples, in the order of the episodes.
@@ -51,10 +52,10 @@ pub struct Samples {
     before_test: Option<usize>,
     layout: Arc<Layout>,
     /// Values of each vector, `[sample, element]`, by the modality's position in the layout. Images have none.
-    vectors: Vec<Vec<f32>>,
+    vectors: Vec<Arc<Vec<f32>>>,
     /// Frames of each stored image, `[sample, channel, row, column]`, by the modality's position in the layout. They
     /// are empty if no frames were loaded.
-    images: Vec<Option<FrameStore>>,
+    images: Vec<Option<Arc<FrameStore>>>,
     /// The dataset's folder, which may contain the frames.
     folder: PathBuf,
     labels: Labels,
@@ -82,12 +83,14 @@ impl Samples {
         folder: &Path,
     ) -> Result<Self, FramesError> {
         let vector = |definition: &Definition| match definition.is_image() {
-            true => Vec::new(),
-            false => Vec::with_capacity(samples * definition.width()),
+            true => Arc::default(),
+            false => Arc::new(Vec::with_capacity(samples * definition.width())),
         };
         let image = |definition: &Definition| {
             let is_stored = definition.is_image() && definition.difference_of.is_none();
-            is_stored.then(|| FrameStore::new(frames, definition.width(), samples, folder)).transpose()
+            is_stored
+                .then(|| FrameStore::new(frames, definition.width(), samples, folder).map(Arc::new))
+                .transpose()
         };
         let vectors = layout.modalities.iter().map(vector).collect();
         let images = layout.modalities.iter().map(image).collect::<Result<_, _>>();
@@ -109,20 +112,27 @@ impl Samples {
     ///
     /// # Errors
     /// When frames can't be written to disk.
+    ///
+    /// # Panics
+    /// When there are copies of the samples.
     pub fn push(&mut self, episode: &Episode) -> Result<(), FramesError> {
         let first = self.len();
         self.episodes.push(first..first + episode.samples);
         for (index, definition) in self.layout.modalities.iter().enumerate() {
             match (&mut self.images[index], definition.difference_of) {
-                (Some(frames), _) => frames
+                (Some(frames), _) => Arc::get_mut(frames)
+                    .expect("samples are copied after all episodes are there")
                     .push(&episode.images[index])
                     .map_err(|source| FramesError { folder: self.folder.clone(), source })?,
-                (None, None) => self.vectors[index].extend_from_slice(&episode.vectors[index]),
+                (None, None) => {
+                    Arc::make_mut(&mut self.vectors[index]).extend_from_slice(&episode.vectors[index])
+                }
                 (None, Some(_)) if definition.is_image() => {}
                 (None, Some(of)) => {
                     let (values, width) = (episode.vector(of), definition.width());
                     let before = values[..width.min(values.len())].iter().chain(values);
-                    self.vectors[index].extend(values.iter().zip(before).map(|(now, before)| now - before));
+                    let changes = values.iter().zip(before).map(|(now, before)| now - before);
+                    Arc::make_mut(&mut self.vectors[index]).extend(changes);
                 }
             }
         }
@@ -225,7 +235,7 @@ impl Samples {
 
     /// Returns the commands to the actuators at all samples, `[samples, elements of the action]`.
     pub fn setpoints(&self) -> &[f32] {
-        self.layout.position(Modality::SETPOINT).map_or(&[], |position| &self.vectors[position])
+        self.layout.position(Modality::SETPOINT).map_or(&[], |position| self.vectors[position].as_slice())
     }
 
     /// Returns the frames of an image modality. For a difference, these are the frames of the image that it is computed

@@ -25,7 +25,7 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
-    fn std(&self, index: usize) -> f32 {
+    pub(super) fn std(&self, index: usize) -> f32 {
         self.std[if self.std.len() == 1 { 0 } else { index }]
     }
 

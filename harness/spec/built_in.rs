@@ -49,6 +49,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "multi_to_multi_400k",
     "multi_to_multi_best",
     "multi_to_multi_continuous",
+    "noise",
     "oracle",
     "paper",
     "readings",

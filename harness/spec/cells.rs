@@ -192,7 +192,8 @@ impl Experiment {
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
             test: self.test.clone(),
-            given: self.subsets(),
+            inputs: self.inputs.clone(),
+            given: self.tests(),
             scaling: self.scaling_of_used(scenario),
             model: Model::Trained(Box::new(Trained {
                 latent,

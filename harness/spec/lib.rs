@@ -7,6 +7,7 @@
 
 mod built_in;
 mod cells;
+mod disturbance;
 mod error;
 mod explain;
 mod extends;
@@ -31,6 +32,7 @@ mod vary;
 mod world;
 
 pub use built_in::{BuiltIn, SPECS, YamlFile, find};
+pub use disturbance::{Disturbance, Disturbances};
 pub use error::SpecError;
 pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
@@ -231,31 +233,35 @@ struct Variants<'a> {
     tree: &'a Node,
     /// The settings that the tree varies, as written in it.
     written: Vec<Entry>,
-    /// The names of all modalities that some variant predicts.
+    /// The names of all modalities that some variant gets, and of those that some variant predicts.
+    inputs: BTreeSet<String>,
     outputs: BTreeSet<String>,
 }
 
 impl<'a> Variants<'a> {
     fn of(tree: &'a Node) -> Self {
         let written = varied_settings(tree);
-        Self { tree, outputs: outputs(tree, &written), written }
+        let [inputs, outputs] = [INPUT, OUTPUT].map(|list| names_of(list, tree, &written));
+        Self { tree, inputs, outputs, written }
     }
 
     /// Returns the tree with the settings of one combination.
     fn tree(&self, combination: &Combination) -> Node {
         let mut tree = combination.applied_to(self.tree, &self.written);
-        leave_out_settings_of(&mut tree, &self.outputs);
+        leave_out_settings_of(&mut tree, OUTPUT, &self.outputs, outputs::sections());
+        leave_out_settings_of(&mut tree, INPUT, &self.inputs, ["inputs".to_owned()]);
         tree
     }
 }
 
-/// The key of the predicted modalities.
+/// The keys of the modalities that the encoder gets, and of those that are predicted.
+const INPUT: &str = "input";
 const OUTPUT: &str = "output";
 
-/// Returns the names of all modalities that some combination predicts.
-fn outputs(tree: &Node, varied: &[Entry]) -> BTreeSet<String> {
-    let own = tree.get(OUTPUT).into_iter();
-    let all = own.chain(varied.iter().filter(|entry| entry.key == OUTPUT).map(|entry| &entry.node));
+/// Returns the names of all modalities that some combination has in the list with this key.
+fn names_of(list: &str, tree: &Node, varied: &[Entry]) -> BTreeSet<String> {
+    let own = tree.get(list).into_iter();
+    let all = own.chain(varied.iter().filter(|entry| entry.key == list).map(|entry| &entry.node));
     all.flat_map(names_in).collect()
 }
 
@@ -265,14 +271,19 @@ fn names_in(node: &Node) -> Vec<String> {
     items.iter().filter_map(|item| item.to_json().as_str().map(str::to_owned)).collect()
 }
 
-/// Removes settings of modalities that other combinations predict and this one does not. A reading can then weight the
-/// outputs of all labels.
-fn leave_out_settings_of(tree: &mut Node, outputs: &BTreeSet<String>) {
-    let own = tree.get(OUTPUT).map(names_in).unwrap_or_default();
-    for key in outputs::sections() {
+/// Removes settings of modalities that other combinations have in the list with this key and this one does not. A
+/// reading can then weight the outputs of all labels.
+fn leave_out_settings_of(
+    tree: &mut Node,
+    list: &str,
+    all: &BTreeSet<String>,
+    sections: impl IntoIterator<Item = String>,
+) {
+    let own = tree.get(list).map(names_in).unwrap_or_default();
+    for key in sections {
         let section = key.split('.').try_fold(&mut *tree, |node, key| node.get_mut(key));
         if let Some(Node { value: Value::Section(entries), .. }) = section {
-            entries.retain(|entry| own.contains(&entry.key) || !outputs.contains(&entry.key));
+            entries.retain(|entry| own.contains(&entry.key) || !all.contains(&entry.key));
         }
     }
 }
@@ -450,6 +461,7 @@ impl Experiment {
         self.input.sort();
         self.output.sort();
         self.simulation.factors.sort();
+        self.test.iter_mut().flat_map(|test| &mut test.factors).for_each(|factors| factors.sort());
         self.training.loss_weights.retain(|modality, _| self.output.contains(modality));
         for &modality in &self.output {
             self.training.loss_weights.entry(modality).or_insert(1.0);
@@ -476,7 +488,8 @@ impl Experiment {
             } else {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
             }
-            self.given = self.subsets().into_iter().map(Given::Inputs).collect();
+            self.inputs.retain(|_, disturbance| *disturbance != Disturbance::default());
+            self.given = self.tests();
             let rates = self.training.modality_dropout.rates(&self.input);
             self.training.modality_dropout =
                 if rates.is_empty() { ModalityDropout::default() } else { ModalityDropout::Of(rates) };

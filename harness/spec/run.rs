@@ -1,10 +1,11 @@
 //! The spec of one run: everything that its result depends on, and nothing else.
 
+use super::disturbance::Disturbances;
 use super::origin::Origin;
 use super::simulation::Simulation;
 use super::split::Split;
 use super::stored::stored;
-use super::types::{Action, Family, Network, Task, TestDataset, Training, Window};
+use super::types::{Action, Family, Given, Network, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -42,8 +43,10 @@ pub struct RunSpec {
     pub split: Split,
     /// The dataset on which the run is tested; `None` if it is a part of the run's own one.
     pub test: Option<TestDataset>,
-    /// The inputs in each further test of a trained network with a part of them.
-    pub given: Vec<Vec<Modality>>,
+    /// What is wrong with the sensors of some inputs, in training and in the test.
+    pub inputs: Disturbances,
+    /// The tests of a trained network besides that with all inputs. Each has its inputs.
+    pub given: Vec<Given>,
     /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
     /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     pub scaling: Scalings,
@@ -106,8 +109,10 @@ struct Fields {
     split: Split,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     test: Option<TestDataset>,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    inputs: Disturbances,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    given: Vec<Vec<Modality>>,
+    given: Vec<Given>,
     #[serde(default)]
     scaling: Scalings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -155,6 +160,7 @@ impl From<RunSpec> for Fields {
             simulation: spec.simulation,
             split: spec.split,
             test: spec.test,
+            inputs: spec.inputs,
             given: spec.given,
             scaling: spec.scaling,
             training,
@@ -185,6 +191,7 @@ impl TryFrom<Fields> for RunSpec {
             simulation: fields.simulation,
             split: fields.split,
             test: fields.test,
+            inputs: fields.inputs,
             given: fields.given,
             scaling: fields.scaling,
             model,
@@ -203,8 +210,10 @@ impl RunSpec {
 
     /// Returns the settings of the simulation of the run's own test dataset; `None` if it has none.
     pub fn test_simulation(&self) -> Option<Simulation> {
-        let TestDataset { episodes, seed, .. } = self.test.as_ref()?;
-        Some(Simulation { seed: *seed, episodes: *episodes, test: true, ..self.simulation.clone()? })
+        let TestDataset { episodes, seed, factors, .. } = self.test.as_ref()?;
+        let own = self.simulation.clone()?;
+        let factors = factors.clone().unwrap_or_else(|| own.factors.clone());
+        Some(Simulation { seed: *seed, episodes: *episodes, factors, test: true, ..own })
     }
 
     /// Returns the size of the latent state; `None` for an external model.
@@ -219,7 +228,8 @@ impl RunSpec {
         let parts = [variant, &model].into_iter().filter(|part| !part.is_empty());
         let variant = parts.collect::<Vec<_>>().join(",");
         let (model, tasks) = (Model::External(name.to_owned()), vec![Task::Prediction]);
-        Self { model, variant, seed, tasks, given: Vec::new(), ..self.clone() }
+        let (inputs, given) = (Disturbances::new(), Vec::new());
+        Self { model, variant, seed, tasks, inputs, given, ..self.clone() }
     }
 
     /// Returns the hash of what the run asks of a model, whichever it is: the first 16 hexadecimal digits of the
@@ -284,6 +294,13 @@ impl RunSpec {
                 }
             }
         }
+        let of_tests = self.given.iter().filter_map(|given| match given {
+            Given::Disturbed(inputs) => Some(inputs),
+            _ => None,
+        });
+        for (modality, disturbance) in of_tests.chain([&self.inputs]).flatten() {
+            layout.get(*modality).map_or(Ok(()), |definition| disturbance.check(definition))?;
+        }
         let scalings = self.scalings(layout);
         let is_unbounded = |(modality, family): &(&Modality, &Family)| {
             **family == Family::Hurdle
@@ -331,6 +348,9 @@ impl RunSpec {
                 let value =
                     |modality: &Modality| (*modality, given.get(modality).copied().unwrap_or_default());
                 vectors.iter().map(value).collect()
+            }
+            if let Some(rate) = training.modality_dropout.of_all(&self.input) {
+                all["training"]["modality_dropout"] = json!(rate);
             }
             all["training"]["losses"] = json!(of(&training.losses, &vectors));
             all["training"]["distributions"] = json!(of(&training.distributions, &vectors));

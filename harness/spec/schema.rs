@@ -211,8 +211,9 @@ pub(super) const BELOW_VARY: &str = "vary.";
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 13] = [
+    const SECTIONS: [&str; 14] = [
         "input",
+        "inputs",
         "output",
         "given",
         "outputs",

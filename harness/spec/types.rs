@@ -1,12 +1,13 @@
 //! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
 //! and the checks of a spec are generated from these attributes.
 
+use super::disturbance::{Disturbances, disturbances_schema};
 use super::origin::{IMPORTED_NAME, Origin};
 use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::split::Split;
 use super::world::World;
-use harness_layout::{GivenScalings, Layout, Modality, by_modality, names, scalings_schema};
+use harness_layout::{GivenScalings, Layout, Modality, by_modality, intern, names, scalings_schema};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -269,9 +270,14 @@ pub struct Experiment {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "test_dataset")]
     pub test: Option<TestDataset>,
+    /// What is wrong with the sensors of some inputs, in training and in the test: `{arm: {noise: 0.1, delay: 2}}`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(schema_with = "disturbances_schema")]
+    pub inputs: Disturbances,
     /// The tests of a trained network besides that with all inputs: `each` input alone, `without_each`, or a list of
     /// those that the network gets (`[[vision], [arm, vision]]`). A vector or an image that it does not get is at its
-    /// mean over the training data. The column `given` of the tables names what it gets.
+    /// mean over the training data. A section has what is wrong with their sensors instead of what `inputs` says:
+    /// `[{arm: {noise: 0.1}, vision: {}}]`. The column `given` of the tables names what it gets.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("uniqueItems" = true))]
     pub given: Vec<Given>,
@@ -399,7 +405,7 @@ impl Network {
 }
 
 /// The dataset on which runs are tested. Its episodes are simulated like those that a run is trained on, with the same
-/// settings except their number and seed, but from random streams of their own. Equal seeds therefore give other
+/// settings except their number, seed and factors, but from random streams of their own. Equal seeds therefore give other
 /// motions. The test of an imported dataset is another imported dataset. The dataset of the run is divided into training
 /// and validation only, and `split.test` has no effect.
 #[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
@@ -412,6 +418,11 @@ pub struct TestDataset {
     /// Seed of the episodes.
     #[schemars(range(min = 0, max = MAX_SEED))]
     pub seed: u64,
+    /// Factors of variation that the episodes draw; those of `simulation.factors` if the spec does not say. A network
+    /// that was trained without a factor can so be tested with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(schema_with = "factors_schema")]
+    pub factors: Option<Vec<String>>,
     /// Name of the imported dataset with the test episodes, of which all are used, for runs on imported datasets. It
     /// must have the same modalities and sample rate as these.
     #[schemars(regex(pattern = IMPORTED_NAME))]
@@ -589,13 +600,36 @@ impl Training {
 }
 
 /// Some tests of a trained network with a part of its inputs.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Given {
     /// Tests that follow from the inputs.
     Named(Subsets),
     /// A test with these inputs.
     Inputs(#[schemars(length(min = 1), extend("uniqueItems" = true))] Vec<Modality>),
+    /// A test with these inputs, whose sensors have this.
+    Disturbed(#[schemars(schema_with = "disturbances_schema")] Disturbances),
+}
+
+impl Given {
+    /// Returns the inputs that the network gets.
+    pub fn inputs(&self) -> Vec<Modality> {
+        match self {
+            Self::Named(_) => Vec::new(),
+            Self::Inputs(inputs) => inputs.clone(),
+            Self::Disturbed(inputs) => inputs.keys().copied().collect(),
+        }
+    }
+
+    /// Returns what the column `given` has: `arm,proprioception`, or `arm,proprioception noise=0.1`.
+    pub fn name(&self) -> &'static str {
+        let mut names: Vec<String> = match self {
+            Self::Disturbed(inputs) => inputs.iter().map(|(modality, of)| of.named(*modality)).collect(),
+            _ => self.inputs().iter().map(|modality| modality.name().to_owned()).collect(),
+        };
+        names.sort_unstable();
+        intern(&names.join(","))
+    }
 }
 
 /// Tests that follow from the inputs of a network.
@@ -611,14 +645,14 @@ pub enum Subsets {
 }
 
 impl Experiment {
-    /// Returns the inputs in each test with a part of them, in the order of [`Modality`].
-    pub(super) fn subsets(&self) -> Vec<Vec<Modality>> {
+    /// Returns the tests besides that with all inputs, each with its inputs.
+    pub(super) fn tests(&self) -> Vec<Given> {
         let without = |left_out: &Modality| -> Vec<Modality> {
             self.input.iter().copied().filter(|modality| modality != left_out).collect()
         };
         let of = |given: &Given| match given {
             Given::Inputs(inputs) => vec![inputs.clone()],
-            Given::Named(Subsets::All) => Vec::new(),
+            Given::Named(Subsets::All) | Given::Disturbed(_) => Vec::new(),
             Given::Named(Subsets::Each) => self.input.iter().map(|modality| vec![*modality]).collect(),
             Given::Named(Subsets::WithoutEach) => self.input.iter().map(without).collect(),
         };
@@ -627,7 +661,8 @@ impl Experiment {
         subsets.sort();
         subsets.dedup();
         subsets.retain(|inputs| !inputs.is_empty() && inputs.len() < self.input.len());
-        subsets
+        let disturbed = self.given.iter().filter(|given| matches!(given, Given::Disturbed(_))).cloned();
+        subsets.into_iter().map(Given::Inputs).chain(disturbed).collect()
     }
 }
 
@@ -657,8 +692,20 @@ impl ModalityDropout {
         let rates = input.iter().map(|modality| (*modality, rate(modality)));
         rates.filter(|(_, rate)| input.len() > 1 && *rate > 0.0).collect()
     }
+
+    /// Returns the probability that all inputs share, if they do.
+    pub(super) fn of_all(&self, input: &[Modality]) -> Option<f64> {
+        let rates = self.rates(input);
+        let first = rates.values().next().copied().unwrap_or_default();
+        let is_same =
+            rates.is_empty() || rates.len() == input.len() && rates.values().all(|rate| *rate == first);
+        is_same.then_some(first)
+    }
 }
 
+fn factors_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "items": { "type": "string" }, "uniqueItems": true })
+}
 fn rates_schema(_: &mut SchemaGenerator) -> Schema {
     let rate = json_schema!({ "type": "number", "minimum": 0.0, "exclusiveMaximum": 1.0 });
     json_schema!({ "type": "object", "additionalProperties": rate })

@@ -1,5 +1,6 @@
 //! Checks the rules that the schema can't express, because they depend on several settings.
 
+use super::disturbance::{Disturbances, unsuitable};
 use super::origin::Origin;
 use super::outputs::written_key;
 use super::schema::is_axis;
@@ -227,15 +228,24 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
 /// Refuses a test with, or a training without, what is no input, and a training without the input to which a predicted
 /// change is added.
 fn given(experiment: &Experiment) -> Result<(), Fault> {
-    let Experiment { given, input, training, .. } = experiment;
+    let Experiment { given, input, inputs, training, .. } = experiment;
     let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
     let no_input = |path: String, modality: &Modality| {
         fault(path, unknown("input", modality.name(), "", &names, str::to_owned))
     };
+    disturbances("inputs", experiment, inputs)?;
     for (index, given) in given.iter().enumerate() {
-        let Given::Inputs(inputs) = given else { continue };
-        if let Some(place) = inputs.iter().position(|modality| !input.contains(modality)) {
-            return no_input(format!("given.{index}.{place}"), &inputs[place]);
+        match given {
+            Given::Named(_) => {}
+            Given::Inputs(inputs) => {
+                if let Some(place) = inputs.iter().position(|modality| !input.contains(modality)) {
+                    return no_input(format!("given.{index}.{place}"), &inputs[place]);
+                }
+            }
+            Given::Disturbed(inputs) if inputs.is_empty() => {
+                return fault(format!("given.{index}"), "a network needs an input; name at least one");
+            }
+            Given::Disturbed(inputs) => disturbances(&format!("given.{index}"), experiment, inputs)?,
         }
     }
     const DROPOUT: &str = "training.modality_dropout";
@@ -255,6 +265,25 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
         ),
         None => Ok(()),
     }
+}
+
+/// Refuses a disturbance of what is no input, or one that an image or a vector can't have.
+fn disturbances(path: &str, experiment: &Experiment, inputs: &Disturbances) -> Result<(), Fault> {
+    let Experiment { input, scenarios, .. } = experiment;
+    for (modality, disturbance) in inputs {
+        if !input.contains(modality) {
+            let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
+            let message = unknown("input", modality.name(), "", &names, str::to_owned);
+            return fault(format!("{path}.{modality}"), format!("{message}; only inputs are disturbed"));
+        }
+        let known = scenarios.iter().filter_map(|origin| experiment.known(origin, *modality));
+        for is_image in known.map(|known| known.size.is_some()) {
+            if let Some(key) = disturbance.unsuitable(is_image) {
+                return fault(format!("{path}.{modality}.{key}"), unsuitable(*modality, key, is_image));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The images among the inputs and outputs of a network, with their rows and columns.
@@ -829,6 +858,22 @@ fn test_dataset(experiment: &Experiment, test: &TestDataset) -> Result<(), Fault
                 );
             }
             _ => {}
+        }
+    }
+    if test.factors.is_some() && test.dataset.is_some() {
+        return fault(
+            "test.factors",
+            "the episodes of an imported dataset are as they are; leave out test.factors",
+        );
+    }
+    for (index, name) in test.factors.iter().flatten().enumerate() {
+        for world in scenarios.iter().filter_map(|origin| experiment.world(origin)) {
+            let names: Vec<&str> = world.file().factors.iter().map(|(name, _)| name).collect();
+            if !names.contains(&name.as_str()) {
+                let message = unknown("factor", name, "test.factors", &names, str::to_owned);
+                let path = format!("test.factors.{index}");
+                return fault(path, format!("{message} in the world {}", world.scenario()));
+            }
         }
     }
     let episodes = simulation.episodes as usize;

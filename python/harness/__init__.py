@@ -549,7 +549,7 @@ def plot(
     """Draws a metric of networks and baselines over a key, as `harness plot` does.
 
     Points are the means of `answer`, and bars are its intervals. The keys are experiment, scenario, latent, variant,
-    settings, horizon, task, modality, and any setting of a spec, such as `input`. A baseline has no latent state, so it
+    settings, horizon, given, task, modality, and any setting of a spec, such as `input`. A baseline has no latent state, so it
     has the same value at every latent size.
 
     Args:

@@ -1,0 +1,110 @@
+//! What is wrong with the sensors that a network gets its inputs from.
+
+use harness_layout::{Definition, Modality};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What is wrong with a sensor. Targets, and the inputs of baselines that repeat or average targets, are as recorded.
+///
+/// Strengths of `noise`, `bias` and `drift` are standard deviations, in units of the standard deviation by which the
+/// input is scaled for the network (`scaling`).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Disturbance {
+    /// Gaussian noise on each value of each sample.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub noise: f64,
+    /// A shift of each element of a vector, which is drawn for each episode.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub bias: f64,
+    /// A shift of each element of a vector that grows linearly from 0. This is its rate in 1 s, which is drawn for each
+    /// episode.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub drift: f64,
+    /// Number of samples by which values arrive late. Until then, the network gets the first one of the episode.
+    #[serde(skip_serializing_if = "is_none")]
+    #[schemars(range(max = 1000))]
+    pub delay: usize,
+    /// Probability that a sample is lost. The network then gets the one before it again.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub dropped: f64,
+    /// Probability that an element of a vector is 0 in an episode.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub dead: f64,
+    /// Part of an image that is gray: a rectangle like the image, at a place that is drawn for each episode.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub occlusion: f64,
+    /// Standard deviation of a Gaussian blur of an image, in pixels.
+    #[serde(skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub blur: f64,
+}
+
+/// What is wrong with the sensors of some inputs.
+pub type Disturbances = BTreeMap<Modality, Disturbance>;
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+fn is_none(count: &usize) -> bool {
+    *count == 0
+}
+
+impl Disturbance {
+    /// Returns the name of an input with what is wrong with its sensor: `arm`, or `arm noise=0.1 delay=2`.
+    pub fn named(&self, modality: Modality) -> String {
+        let settings = serde_json::to_value(self).unwrap_or_default();
+        let settings = settings.as_object().into_iter().flatten();
+        let settings = settings.map(|(key, value)| format!("{key}={value}"));
+        std::iter::once(modality.name().to_owned()).chain(settings).collect::<Vec<_>>().join(" ")
+    }
+
+    /// Returns the first setting that an image, or a vector, can't have.
+    pub fn unsuitable(&self, is_image: bool) -> Option<&'static str> {
+        let of_vectors = [("bias", self.bias), ("drift", self.drift), ("dead", self.dead)];
+        let of_images = [("occlusion", self.occlusion), ("blur", self.blur)];
+        let others: &[(&str, f64)] = if is_image { &of_vectors } else { &of_images };
+        others.iter().find(|(_, value)| *value != 0.0).map(|(key, _)| *key)
+    }
+
+    /// Returns a sentence about the first setting that a modality can't have, after its key.
+    ///
+    /// # Errors
+    /// When there is one.
+    pub(super) fn check(&self, definition: &Definition) -> Result<(), String> {
+        let modality = definition.name;
+        if let (true, Some(of)) = (definition.is_image(), definition.difference_of) {
+            return Err(format!(
+                "'{modality}' is computed from the images of '{of}'; disturb '{of}' instead, if it is an input"
+            ));
+        }
+        self.unsuitable(definition.is_image())
+            .map_or(Ok(()), |key| Err(unsuitable(modality, key, definition.is_image())))
+    }
+}
+
+/// The message about a setting that an image, or a vector, can't have.
+pub(super) fn unsuitable(modality: Modality, key: &str, is_image: bool) -> String {
+    match is_image {
+        true => format!(
+            "'{modality}' is an image, which has no {key}; use noise, delay, dropped, occlusion or blur"
+        ),
+        false => format!(
+            "'{modality}' is a vector, which has no {key}; use noise, bias, drift, delay, dropped or dead"
+        ),
+    }
+}
+
+/// The schema of [`Disturbances`]: one section for each modality.
+pub(super) fn disturbances_schema(generator: &mut SchemaGenerator) -> Schema {
+    let of_one = generator.subschema_for::<Disturbance>();
+    json_schema!({ "type": "object", "properties": {}, "additionalProperties": of_one })
+}
