@@ -32,7 +32,9 @@ impl Compare {
     /// Prints the table, or prints or writes the means.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let (form, question) = (self.to.form()?, self.asked.question());
-        if let Some(key) = question.by.iter().find(|key| [Key::Task, Key::Modality, Key::Metric].contains(key)) {
+        if let Some(key) =
+            question.by.iter().find(|key| [Key::Task, Key::Modality, Key::Metric].contains(key))
+        {
             return Err(AnalysisError::OfRows(key.name()).into());
         }
         let answer = question.ask(registry)?;

@@ -1,6 +1,6 @@
 //! A dataset as tensors for a network: what it gets, and what it should predict.
 
-use super::observation::{Observation, Value};
+use super::observation::{Keeping, Observation, Value};
 use candle_core::{DType, Device, Result, Tensor};
 use harness_ops::frames::{Images, SampleFrames};
 use harness_ops::{Values, input};
@@ -106,14 +106,21 @@ impl NormalizedData {
     }
 
     /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of
-    /// `modalities`, or their changes since what it got at `present`.
-    pub fn targets(&self, at: &[Sample], present: &[Sample], modalities: &[Modality]) -> Result<Observation> {
+    /// `modalities`, or their changes since what it got at `present`, where windows may lack inputs.
+    pub fn targets(
+        &self,
+        at: &[Sample],
+        present: &[Sample],
+        keeping: &Keeping,
+        modalities: &[Modality],
+    ) -> Result<Observation> {
         let changes = &self.normalizers.changes;
         let (changed, valued): (Vec<Modality>, Vec<Modality>) =
             modalities.iter().partition(|modality| changes.contains_key(modality));
         let values = self.observation(at, &valued)?;
         let change = |modality: Modality| {
-            let change = (self.vectors(at, modality)? - self.seen().vectors(present, modality)?)?;
+            let given = self.inputs(present, &[modality])?.keeping(keeping)?.vectors(&[modality])?;
+            let change = (self.vectors(at, modality)? - given)?;
             let factors = self.table(Table::Change(modality), || {
                 let ratios = &self.normalizers.change_ratios()[&modality];
                 Tensor::from_vec(

@@ -71,16 +71,16 @@ impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, training, .. } = self;
         let rates = training.modality_dropout.rates(self.input);
-        let keeping = draw.keeping(&rates, self.input.len(), at.len());
+        let mut keeping = draw.keeping(&rates, self.input.len(), at.len());
         let start = self.burned_in(at, &keeping, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
         let encoded = self.encoded(&*self.network, &seen, &keeping, &mut draw)?;
         let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &encoded, &mut draw)?;
-        let losses = |state: &State, of: &[Sample], present: &[Sample], parts: usize| {
-            let values = data.targets(of, present, self.output)?;
+        let losses = |state: &State, of: &[Sample], present: &[Sample], keeping: &Keeping, parts: usize| {
+            let values = data.targets(of, present, keeping, self.output)?;
             network.losses(state, Targets { values: &values, losses: &training.losses, parts, added: None })
         };
-        let next = losses(&state, &after(&seen, window.first_horizon()), &seen, 1)?;
+        let next = losses(&state, &after(&seen, window.first_horizon()), &seen, &keeping, 1)?;
         let further = self.further();
         let terms = if further == 0 {
             next
@@ -88,9 +88,13 @@ impl Objective for Prediction<'_> {
             if let Some(rows) = draw.one_of_each(training.rollout_stride, seen.len()) {
                 state = state.rows(&rows)?;
                 seen = rows.iter().map(|row| seen[*row as usize]).collect();
+                for kept in keeping.values_mut() {
+                    *kept = rows.iter().map(|row| kept[*row as usize % at.len()]).collect();
+                }
             }
             let state = network.imagine(&state, &data.actions(&later(&seen, 1, further))?)?;
-            joined(next, losses(&state, &later(&seen, 2, further), &seen.repeat(further), further)?)?
+            let present = seen.repeat(further);
+            joined(next, losses(&state, &later(&seen, 2, further), &present, &keeping, further)?)?
         };
         let mut terms = weighted(means(terms, training.discount)?, &training.loss_weights);
         terms.push(Weighted { name: KL.into(), weight: training.kl_weight, value: divergence });

@@ -225,8 +225,7 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses a test with, or a training without, what is no input, and a training without the input to which a predicted
-/// change is added.
+/// Refuses a test with, or a training without, what is no input.
 fn given(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { given, input, inputs, training, .. } = experiment;
     let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
@@ -248,23 +247,12 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
             Given::Disturbed(inputs) => disturbances(&format!("given.{index}"), experiment, inputs)?,
         }
     }
-    const DROPOUT: &str = "training.modality_dropout";
     if let ModalityDropout::Of(rates) = &training.modality_dropout
         && let Some(modality) = rates.keys().find(|modality| !input.contains(modality))
     {
-        return no_input(format!("{DROPOUT}.{modality}"), modality);
+        return no_input(format!("training.modality_dropout.{modality}"), modality);
     }
-    let is_changed = |modality: &&Modality| training.predict.get(modality) == Some(&Predict::Change);
-    match training.modality_dropout.rates(input).keys().find(is_changed) {
-        Some(modality) => fault(
-            DROPOUT,
-            format!(
-                "the change of '{modality}' is added to the input '{modality}', so no window may lack it; give a rate \
-                 for each other input, or predict the value of '{modality}'"
-            ),
-        ),
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// Refuses a disturbance of what is no input, or one that an image or a vector can't have.

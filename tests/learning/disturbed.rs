@@ -123,7 +123,7 @@ fn targets_are_not_disturbed_and_changes_are_added_to_what_was_given() {
     let disturbed = data.disturbed(&disturbances, "test").unwrap();
     let (present, next) = (at(0..3), at(1..4));
     let target = |data: &NormalizedData, modality| {
-        let targets = data.targets(&next, &present, &[modality]).unwrap();
+        let targets = data.targets(&next, &present, &Default::default(), &[modality]).unwrap();
         targets.vectors(&[modality]).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
     };
     assert_eq!(target(&disturbed, ANGLES), target(&data, ANGLES));
