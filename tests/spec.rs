@@ -108,7 +108,10 @@ fn what_is_left_out_gets_its_default() {
 
 #[test]
 fn tests_with_some_inputs_follow_from_the_inputs() {
-    let subsets = |text: &str| load(&format!("{BASE}{text}")).runs().remove(0).given;
+    let subsets = |text: &str| -> Vec<Vec<Modality>> {
+        let run = load(&format!("{BASE}{text}")).runs().remove(0);
+        run.given.iter().map(spec::Given::inputs).collect()
+    };
     let one = [vec![Modality::PROPRIOCEPTION], vec![Modality::ARM]];
     for given in ["each", "without_each", "[each, without_each, [arm]]", "[[arm], [proprioception]]"] {
         assert_eq!(subsets(&format!("given: {given}\n")), one, "{given}");
