@@ -488,7 +488,8 @@ impl Experiment {
             } else {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
             }
-            self.inputs.retain(|_, disturbance| *disturbance != Disturbance::default());
+            let is_used = |modality| self.input.contains(modality);
+            self.inputs.retain(|modality, of| is_used(modality) && *of != Disturbance::default());
             self.given = self.tests();
             let rates = self.training.modality_dropout.rates(&self.input);
             self.training.modality_dropout =
