@@ -488,8 +488,8 @@ impl Experiment {
             } else {
                 (self.network.channels, self.network.average) = (Some(Vec::new()), 1);
             }
-            let is_used = |modality| self.input.contains(modality);
-            self.inputs.retain(|modality, of| is_used(modality) && *of != Disturbance::default());
+            let none = Disturbance::default();
+            self.inputs.retain(|modality, own| self.input.contains(modality) && *own != none);
             self.given = self.tests();
             let rates = self.training.modality_dropout.rates(&self.input);
             self.training.modality_dropout =
