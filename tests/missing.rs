@@ -84,7 +84,10 @@ fn a_trained_network_is_also_tested_with_some_of_its_inputs() {
 #[test]
 fn a_network_is_trained_and_tested_with_disturbed_inputs() {
     let results = fresh("disturbed");
-    let run = |more: &[&str]| succeed(&results, &[&RUN[..], &["tasks=[prediction]"], more].concat());
+    let run = |more: &[&str]| {
+        let own = ["tasks=[prediction]", "network.memory=gru"];
+        succeed(&results, &[&RUN[..], &own, more].concat())
+    };
     let given = "given=[{arm: {}, proprioception: {}}, {arm: {noise: 0.5}, proprioception: {}}]";
     run(&["name=clean", given]);
     run(&["name=noisy", "inputs.arm.noise=0.5"]);
