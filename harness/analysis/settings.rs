@@ -1,7 +1,7 @@
 //! The settings of runs, the settings in which runs differ, and the settings that a selection requests.
 
 use harness_registry::{Recorded, RunRecord, UNKNOWN, leaves, quoted};
-use harness_shared::numbers::by_value;
+use harness_shared::numbers::{by_value, first_few};
 use harness_spec::{Layout, RunSpec, is_axis, label_in, setting_value};
 use rayon::prelude::*;
 use serde_json::Value;
@@ -131,11 +131,8 @@ impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         /// The maximum number of values that are listed. The others are only counted.
         const SHOWN: usize = 6;
-        let shown = self.values.iter().take(SHOWN).map(|value| if value.is_empty() { "none" } else { value });
-        let shown = shown.collect::<Vec<_>>().join(", ");
-        let more = self.values.len().saturating_sub(SHOWN);
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        write!(f, "{} ({shown}{more})", self.key)
+        let named = self.values.iter().map(|value| if value.is_empty() { "none" } else { value });
+        write!(f, "{} ({})", self.key, first_few(&named.collect::<Vec<_>>(), SHOWN))
     }
 }
 

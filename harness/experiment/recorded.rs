@@ -5,7 +5,7 @@ use harness_dataset::{AnyDataset, Imported};
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
 use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
-use harness_shared::numbers::counted;
+use harness_shared::numbers::{counted, first_few};
 use harness_shared::progress::Silent;
 use harness_spec::{
     Action, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task, Window,
@@ -19,6 +19,9 @@ const TOLD: f64 = 0.99;
 
 /// How far beyond the range of the training a value counts as beyond it, in parts of the range.
 const BEYOND: f32 = 0.05;
+
+/// The maximum number of trials or groups that a sentence lists. The others are only counted.
+const NAMES_SHOWN: usize = 8;
 
 /// The share of test samples beyond the range that is told.
 const OFTEN: f64 = 0.05;
@@ -56,7 +59,7 @@ fn divided(samples: &Samples, split: &Split) -> Option<String> {
             values.iter().zip(&parts).filter(|(_, part)| **part == wanted).map(|(value, _)| value.as_str());
         own.collect::<BTreeSet<_>>()
     };
-    let listed = |part: Part| of(part).into_iter().collect::<Vec<_>>().join(", ");
+    let listed = |part: Part| first_few(&of(part).into_iter().collect::<Vec<_>>(), NAMES_SHOWN);
     Some(format!(
         "runs that ask for no other split divide by {}: {} for training, {} for validation, {} for the test",
         split.by,
@@ -159,8 +162,13 @@ fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
         let (all, training): (BTreeSet<&String>, _) = (values.iter().collect(), of(Part::Training));
         let test = of(Part::Test);
         let missing: Vec<&str> = test.difference(&training).copied().collect();
-        (all.len() < values.len() && !missing.is_empty())
-            .then(|| format!("the training has no {} {}, which the test has", label.name, missing.join(", ")))
+        (all.len() < values.len() && !missing.is_empty()).then(|| {
+            format!(
+                "the training has no {} {}, which the test has",
+                label.name,
+                first_few(&missing, NAMES_SHOWN)
+            )
+        })
     };
     texts.filter_map(sentence).collect()
 }

@@ -3,10 +3,14 @@
 use super::DEFAULT_ROOT;
 use super::command_line::command_in;
 use harness_shared::files::{LockError, WriteError};
+use harness_shared::numbers::first_few;
 use harness_tables::TableError;
 use polars::prelude::PolarsError;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// The maximum number of runs that a message lists. The others are only counted.
+const NAMES_SHOWN: usize = 5;
 
 /// An error in reading or writing the results folder.
 #[derive(Debug, thiserror::Error)]
@@ -70,7 +74,7 @@ pub enum RegistryError {
     #[error("no run matches '{wanted}'{}; `{list}` lists them", match (nearest, there.as_slice()) {
         (Some(nearest), _) => format!(", the nearest is '{nearest}'"),
         (None, []) => String::new(),
-        (None, there) => format!("; the runs of this experiment are {}", first(there)),
+        (None, there) => format!("; the runs of this experiment are {}", first_few(there, NAMES_SHOWN)),
     })]
     Unknown {
         /// The wanted text.
@@ -91,7 +95,7 @@ pub enum RegistryError {
         problem: &'static str,
     },
     /// The wanted text is the beginning of several runs' names.
-    #[error("'{wanted}' matches several runs: {}; name one of them", first(matches))]
+    #[error("'{wanted}' matches several runs: {}; name one of them", first_few(matches, NAMES_SHOWN))]
     Ambiguous {
         /// The wanted text.
         wanted: String,
@@ -118,11 +122,4 @@ impl From<RegistryError> for PolarsError {
     fn from(error: RegistryError) -> Self {
         Self::IO { error: Arc::new(std::io::Error::other(error)), msg: None }
     }
-}
-
-/// The first of several names, and the number of the others.
-fn first(names: &[String]) -> String {
-    const MOST: usize = 5;
-    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
-    format!("{}{more}", names[..names.len().min(MOST)].join(", "))
 }

@@ -94,6 +94,15 @@ pub fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
+/// Lists at most some words, and says how many more there are: `a, b and 3 more`.
+pub fn first_few(words: &[impl AsRef<str>], most: usize) -> String {
+    let shown: Vec<&str> = words.iter().take(most).map(AsRef::as_ref).collect();
+    match words.len() - shown.len() {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
 /// Lists words as in a sentence: `a, b and c`.
 pub fn enumerated(words: &[String]) -> String {
     match words {

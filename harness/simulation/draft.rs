@@ -6,11 +6,12 @@ use super::controls::Control;
 use super::joints::{ball_and_free, described, is_free, is_single, touches};
 use super::load::load_file;
 use super::names::{
-    ACTUATOR, BODY, CAMERA, FLEX, GEOM, JOINT, ObjectKind, SENSOR, all_called, called, first_few, named,
+    ACTUATOR, BODY, CAMERA, FLEX, GEOM, JOINT, NAMES_SHOWN, ObjectKind, SENSOR, all_called, called, named,
 };
 use super::resolve::Resolver;
 use super::scene::prepare;
 use super::units::unit_of_sensor;
+use harness_shared::numbers::first_few;
 use harness_spec::{Modality, World, is_name};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -126,7 +127,10 @@ impl Draft<'_> {
             self.vectors("body_positions", "body_positions", &free);
         }
         let described: Vec<String> = several.iter().map(|joint| described(model, *joint)).collect();
-        self.comment(&format!("Left out, because each has several values: {}.", first_few(&described)));
+        self.comment(&format!(
+            "Left out, because each has several values: {}.",
+            first_few(&described, NAMES_SHOWN)
+        ));
         let named: Vec<String> = named(model, JOINT)
             .into_iter()
             .filter(|(_, id)| several.contains(id))

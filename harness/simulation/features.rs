@@ -2,9 +2,10 @@
 
 use super::controls::Control;
 use super::load::can_sleep;
-use super::names::{ACTUATOR, FLEX, GEOM, JOINT, ObjectKind, SENSOR, first_few, name_of};
+use super::names::{ACTUATOR, FLEX, GEOM, JOINT, NAMES_SHOWN, ObjectKind, SENSOR, name_of};
 use super::resolve::Reading;
 use super::scene::Scene;
+use harness_shared::numbers::first_few;
 use mujoco_rs::prelude::*;
 
 impl Scene {
@@ -62,7 +63,7 @@ pub(super) fn features(scene: &Scene) -> Vec<String> {
 fn names(model: &MjModel, kind: ObjectKind, ids: impl Iterator<Item = usize>) -> Option<String> {
     let mut names: Vec<String> = ids.map(|id| name_of(model, kind, id)).collect();
     names.dedup();
-    (!names.is_empty()).then(|| first_few(&names))
+    (!names.is_empty()).then(|| first_few(&names, NAMES_SHOWN))
 }
 
 fn is_driven(scene: &Scene, control: Control) -> bool {

@@ -19,7 +19,7 @@ pub(super) const KEYFRAME: ObjectKind = (MjtObjBase::mjOBJ_KEY, "keyframe");
 /// Largest number of names in an error's list of what there is.
 const NAMES_LISTED: usize = 40;
 /// Largest number of names in a note.
-const NAMES_SHOWN: usize = 10;
+pub(super) const NAMES_SHOWN: usize = 10;
 
 /// Returns the number of objects of a kind.
 pub(super) fn count(model: &MjModel, (kind, _): ObjectKind) -> usize {
@@ -98,11 +98,4 @@ pub(super) fn listed(model: &MjModel, kind: ObjectKind) -> String {
         None => there,
         Some(first) => format!("{there}; one without a name is called by its number, such as {first}"),
     }
-}
-
-/// Returns the first names of a list, and how many more there are.
-pub(super) fn first_few(names: &[String]) -> String {
-    let more = names.len().saturating_sub(NAMES_SHOWN);
-    let shown = names[..names.len() - more].join(", ");
-    if more == 0 { shown } else { format!("{shown} and {more} more") }
 }

@@ -5,11 +5,12 @@ use super::camera::{SampleTime, time_rendering};
 use super::features::features;
 use super::flow::unrendered;
 use super::joints::{ball_and_free, described, is_single, touches, word};
-use super::names::{GEOM, JOINT, first_few, name_of};
+use super::names::{GEOM, JOINT, NAMES_SHOWN, name_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
 use super::resolve::{PosedObject, Reading, is_pinhole};
 use super::scene::Scene;
+use harness_shared::numbers::first_few;
 use harness_spec::{Definition, Posed, Simulation};
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
@@ -121,7 +122,7 @@ fn unsettled(scene: &Scene, spec: &Simulation) -> Result<Option<String>, Simulat
     Ok(Some(format!(
         "an episode does not start settled: with the first setpoints, the joints {} move by up to {:.2e} {unit} until \
          the second sample",
-        first_few(&names),
+        first_few(&names, NAMES_SHOWN),
         moved(most)
     )))
 }
@@ -153,7 +154,10 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
     joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]) && !is_read(*joint));
     let names: Vec<String> = joints.into_iter().map(|joint| described(model, joint)).collect();
     (!names.is_empty()).then(|| {
-        format!("no modality records {}; body_positions and body_orientations can", first_few(&names))
+        format!(
+            "no modality records {}; body_positions and body_orientations can",
+            first_few(&names, NAMES_SHOWN)
+        )
     })
 }
 
@@ -167,7 +171,7 @@ fn unrecorded_forces(scene: &Scene) -> Option<String> {
     let geoms: Vec<usize> = (0..model.ngeom() as usize).filter(is_left_out).collect();
     let names: Vec<String> = geoms.into_iter().map(|geom| name_of(model, GEOM, geom)).collect();
     (scene.forces > 0 && !names.is_empty())
-        .then(|| format!("no modality records the forces on the geoms {}", first_few(&names)))
+        .then(|| format!("no modality records the forces on the geoms {}", first_few(&names, NAMES_SHOWN)))
 }
 
 /// The geoms that a camera would see if it were not inside them.
@@ -181,7 +185,7 @@ fn unrendered_geoms(scene: &Scene, data: &mut MjData<std::sync::Arc<MjModel>>) -
                 "the camera of '{}' is inside of {}, or nearer than the model's near plane, so its image shows what is \
                  behind",
                 image.modality,
-                first_few(&names)
+                first_few(&names, NAMES_SHOWN)
             ));
         }
     }

@@ -8,6 +8,7 @@ use super::plan::EpisodePlan;
 use super::resolve::{SceneFactor, dofs};
 use super::scene::Scene;
 use super::standing::can_touch;
+use harness_shared::numbers::first_few;
 use harness_spec::{Property, Simulation, SpecError};
 use mujoco_rs::prelude::*;
 
@@ -204,11 +205,7 @@ impl Scene {
     fn names(&self, factor: &SceneFactor, things: &[usize]) -> String {
         let all = factor.things.iter().zip(&factor.names);
         let named = all.filter(|(thing, _)| things.contains(thing)).map(|(_, name)| format!("'{name}'"));
-        let names: Vec<String> = named.take(NAMES_SHOWN).collect();
-        match things.len() - names.len() {
-            0 => names.join(", "),
-            more => format!("{} and {more} more", names.join(", ")),
-        }
+        first_few(&named.collect::<Vec<_>>(), NAMES_SHOWN)
     }
 }
 

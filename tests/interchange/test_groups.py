@@ -1,6 +1,8 @@
 """Labels of episodes, splits by them, and folds, compared with scikit-learn."""
 
 import json
+import re
+import shutil
 import subprocess
 import sys
 import warnings
@@ -128,6 +130,11 @@ def test_the_import_tells_the_split_and_what_may_be_wrong(tmp_path):
     command = [sys.executable, "-m", "harness.importing", "touch.yaml"]
     told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert "runs that ask for no other split divide by trial: 7 for training, " in told
+    for trial in range(100):
+        shutil.copy(tmp_path / "book_001.csv", tmp_path / f"book_{100 + trial}.csv")
+    told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    (line,) = [line for line in told.splitlines() if line.startswith("runs that ask for no other split")]
+    assert re.fullmatch(r".* for training, .* and 3 more for validation, .* and 3 more for the test", line), line
     one = tmp_path / "one"
     one.mkdir()
     columns = {"x": np.sin(np.arange(3000) / 30), "y": np.arange(3000)}
