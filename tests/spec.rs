@@ -3,7 +3,7 @@
 use harness_spec::{
     self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Memory,
     Method, Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
-    Simulation, Split, SplitCounts, Stop, Task, Training, Window, World,
+    Simulation, Split, SplitCounts, Stop, Task, Training, Window, World, read_mapping,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -1023,7 +1023,7 @@ fn other_files_of_the_harness_are_called_by_what_they_are() {
     for (text, expected) in [
         (
             load(BASE).runs()[0].to_yaml(),
-            "this is the spec of one run, not of an experiment; `harness show RUN`",
+            "this is the spec of one run, not an experiment; `harness show RUN`",
         ),
         (
             include_str!("../models/empty.yaml").to_owned(),
@@ -1033,6 +1033,21 @@ fn other_files_of_the_harness_are_called_by_what_they_are() {
         let message = refusal(text);
         assert!(message.contains(expected), "{message}");
     }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let (mapping, claims) = ("name: a\nsource: b\nmodalities: {setpoint: none}\n", "claims: []\n");
+    for (text, is) in
+        [(BASE, "an experiment"), (mapping, "a mapping of a recording"), (claims, "a file of claims")]
+    {
+        let said = World::load(&path("a.yaml", text)).unwrap_err().to_string();
+        assert!(said.contains(&format!("this is {is}, not a world; ")), "{said}");
+    }
+    let said = read_mapping(&path("a.yaml", include_str!("../models/empty.yaml"))).unwrap_err().to_string();
+    assert!(said.contains("this is a world, not a mapping of a recording; "), "{said}");
 }
 
 #[test]

@@ -13,6 +13,7 @@ mod explain;
 mod extends;
 mod factor;
 mod hints;
+mod kind;
 mod mapping;
 mod narrow;
 mod origin;
@@ -55,6 +56,7 @@ pub use world::*;
 
 use cells::Combination;
 use harness_yaml::{Entry, Node, Problem, Value, parse, shorten};
+use kind::FileKind;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -146,9 +148,7 @@ fn load_tree(
             "the file is empty; see `harness schema` for what a spec holds",
         ));
     }
-    if let Some(message) = other_file(&tree) {
-        return Err(Problem::new(&tree.place, message));
-    }
+    FileKind::Experiment.check(&tree)?;
     if worlds.purpose == Purpose::Task {
         add_network(&mut tree);
     }
@@ -190,26 +190,6 @@ fn add_network(tree: &mut Node) {
 /// Returns the value that a text stands for as the value of a setting, as in `KEY=VALUE`; `None` if it is no YAML.
 pub fn setting_value(text: &str) -> Option<serde_json::Value> {
     parse(text).ok().map(|node| node.to_json())
-}
-
-/// Says what a file is, and how it is used, if it is the spec of a run or a world instead of an experiment.
-fn other_file(tree: &Node) -> Option<&'static str> {
-    let has = |keys: &[&str]| keys.iter().all(|key| tree.get(key).is_some());
-    if has(&["name"]) || has(&["scenarios"]) {
-        None
-    } else if has(&["scenario", "seed"]) {
-        Some(
-            "this is the spec of one run, not of an experiment; `harness show RUN` prints the command that makes the \
-             run, where RUN is the name of this file's folder",
-        )
-    } else if has(&["model", "modalities"]) {
-        Some(
-            "this is a world, not an experiment; give its path in the list 'scenarios' of an experiment's spec, as in \
-             `harness run smoke 'scenarios=[WORLD.yaml]'`",
-        )
-    } else {
-        None
-    }
 }
 
 /// Checks the experiment with each combination of the points of its axes.

@@ -1,6 +1,7 @@
 //! Mappings: the files that say which parts of a recording make up which modality. The Python package imports by them.
 
 use super::error::SpecError;
+use super::kind::FileKind;
 use super::origin::Scenario;
 use super::text::read_text;
 use super::world::one_line;
@@ -52,6 +53,7 @@ fn parse_mapping(text: &str) -> Result<Json, Problem> {
             "the file is empty; `harness import --inspect FILE` writes a first mapping of a recording";
         return Err(Problem::new(&tree.place, message));
     }
+    FileKind::Mapping.check(&tree)?;
     let format = format(&tree)?;
     if let Some(Node { value: Value::Section(entries), place }) = tree.get("modalities")
         && entries.iter().all(|entry| entry.key != Modality::SETPOINT.name())

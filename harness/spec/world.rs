@@ -3,6 +3,7 @@
 use super::error::SpecError;
 use super::factor::Factor;
 use super::hints::HINTS;
+use super::kind::FileKind;
 use super::origin::Scenario;
 use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
@@ -785,6 +786,7 @@ impl World {
                     "the file is empty; `harness world new MODEL.xml` writes one",
                 ));
             }
+            FileKind::World.check(&tree)?;
             list_single(&SCHEMA, &mut tree);
             check_against(&SCHEMA, &tree, &HINTS)?;
             let file: WorldFile = serde_json::from_value(tree.to_json())
