@@ -262,6 +262,7 @@ impl Subject {
     /// force, 5 samples ahead`.
     pub fn predicted_ahead(&self) -> String {
         match self.place.horizon {
+            Some(0) if self.task == Task::Prediction => format!("{}, present sample", self.predicted()),
             None | Some(0) => self.predicted(),
             Some(1) => format!("{}, next sample", self.predicted()),
             Some(horizon) => format!("{}, {horizon} samples ahead", self.predicted()),
@@ -336,8 +337,8 @@ pub struct Comparison<'a> {
 impl<'a> Comparison<'a> {
     /// Puts means into rows and columns. Rows say how far ahead they are if they differ in that.
     fn new(means: &'a [Mean], by: &[Key], metrics: &[String], labels: &Labels) -> Self {
-        let horizons: BTreeSet<usize> =
-            means.iter().filter_map(|mean| mean.of.horizon).filter(|at| *at > 0).collect();
+        let predictions = means.iter().filter(|mean| mean.of.task == Task::Prediction);
+        let horizons: BTreeSet<usize> = predictions.filter_map(|mean| mean.of.horizon).collect();
         let tells_apart = |key: Key| match key {
             Key::Horizon => !by.contains(&key) && horizons.len() > 1,
             // Without this key, all means are of the same inputs.
