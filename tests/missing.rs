@@ -114,5 +114,5 @@ fn a_network_is_trained_and_tested_with_disturbed_inputs() {
         &results,
         &["compare", "clean", "noisy", "--by=inputs.arm.noise", "--metrics=rmse", "--models=network"],
     );
-    assert!(table.contains("arm.noise=0 ") && table.contains("arm.noise=0.5"), "{table}");
+    assert!(table.contains("arm.noise=0\n") && table.contains("arm.noise=0.5"), "{table}");
 }
