@@ -104,7 +104,17 @@ fn panels_by_task_show_both_tasks() {
 fn metrics_stand_side_by_side() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("plot.csv").display().to_string();
-    let asked = ["plot", "--x", "metric", "--metrics", "rmse,mae", "--by", "scenario,latent", "--of", "contact_force"];
+    let asked = [
+        "plot",
+        "--x",
+        "metric",
+        "--metrics",
+        "rmse,mae",
+        "--by",
+        "scenario,latent",
+        "--of",
+        "contact_force",
+    ];
     succeed(&RESULTS, &[&asked[..], &["--output", &output]].concat());
     let table = std::fs::read_to_string(&output).unwrap();
     assert!(table.contains(",rmse,") && table.contains(",mae,"), "{table}");
