@@ -116,7 +116,8 @@ fn the_first_five_minutes_work_as_printed() {
 fn make_run_trains_the_recommended_network_as_printed() {
     let readme = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
     let words: Vec<&str> = readme.split_whitespace().collect();
-    let promised = words.windows(8).find(|words| words[..7] == ["R2", "of", "the", "mean", "contact", "force", "is"]);
+    let promised =
+        words.windows(8).find(|words| words[..7] == ["R2", "of", "the", "mean", "contact", "force", "is"]);
     let promised: f64 = promised.unwrap()[7].trim_end_matches('.').parse().unwrap();
     let folder = copy_of_the_repository();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -126,8 +127,7 @@ fn make_run_trains_the_recommended_network_as_printed() {
     make.env_remove("MAKEFLAGS").env_remove("MAKELEVEL");
     let answer = finish(&mut assert_cmd::Command::from_std(make));
     assert_eq!(answer.code, 0, "{}{}", answer.stdout, answer.stderr);
-    let force =
-        answer.stdout.lines().find(|line| line.starts_with("contact force mean  R2")).unwrap();
+    let force = answer.stdout.lines().find(|line| line.starts_with("contact force mean  R2")).unwrap();
     let r2: f64 = force.split_whitespace().nth(5).unwrap().trim_start_matches('*').parse().unwrap();
     assert!((r2 - promised).abs() < 0.02, "the README promises {promised}: {force}");
 }
