@@ -133,6 +133,8 @@ fn commands_take_runs_of_external_models() {
     assert!(succeed(&results, &["run", SMOKE]).contains("2 done before"));
     let refused = finish(&mut harness(&results, &["export", "--format", "onnx", &runs[0], "model.onnx"]));
     assert!(refused.code != 0 && refused.stderr.contains("come from another program"), "{}", refused.stderr);
+    let drawn = finish(&mut harness(&results, &["render", &runs[0], "--output", "x.png"]));
+    assert!(drawn.stderr.contains("come from another program"), "{}", drawn.stderr);
     succeed(&results, &["rm", &runs[2], "--yes"]);
     assert!(!succeed(&results, &["ls"]).contains(&runs[2]));
 }

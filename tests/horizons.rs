@@ -171,6 +171,20 @@ fn further_rows_change_no_other_answer() {
         assert_eq!(of("horizon <= 1 and given is null"), usual);
         assert_eq!(of("horizon = 0 and task = 'prediction'"), 0);
     }
+    let means = |given: &[&str]| -> Vec<f64> {
+        let asked =
+            ["compare", "choose_action", "--models", "network", "--metrics", "r2", "--format", "json"];
+        let said = succeed(&further, &[&asked[..], given].concat());
+        let rows: Vec<Value> = serde_json::from_str(&said).unwrap();
+        rows.iter().map(|row| row["mean"].as_f64().unwrap()).collect()
+    };
+    let pairs: Vec<_> = means(&[]).into_iter().zip(means(&["--given", "arm"])).collect();
+    assert!(!pairs.is_empty() && pairs.iter().all(|(usual, arm)| (arm - usual - 1000.0).abs() < 1e-6));
+    let refused = finish(&mut harness(&further, &["compare", "--given", "vision"])).stderr;
+    assert!(
+        refused.contains("no model got only vision of its run's inputs; some got only arm\n"),
+        "{refused}"
+    );
     let pages = [&plain, &further].map(|results| served_of_next_sample(results));
     assert_eq!(pages[0], pages[1]);
     // What copies the runs takes the further rows along, and changes no other.

@@ -152,6 +152,17 @@ pub enum AnalysisError {
         /// The models that there are.
         known: Vec<String>,
     },
+    /// No model got only these inputs.
+    #[error(
+        "no model got only {wanted} of its run's inputs; {}",
+        if known.is_empty() { "all got all inputs".into() } else { format!("some got only {}", known.join(", ")) }
+    )]
+    UnknownGiven {
+        /// The requested inputs, with commas between them.
+        wanted: String,
+        /// The inputs that models got.
+        known: Vec<String>,
+    },
     /// A metric is none of the harness, and no run has it as a metric of the user.
     #[error(
         "there is no metric '{wanted}'{}{}{}",

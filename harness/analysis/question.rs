@@ -122,6 +122,7 @@ impl Question {
             return Err(AnalysisError::Scenarios);
         }
         self.check_models(analysis)?;
+        self.check_given(analysis)?;
         let table = self.read(analysis)?;
         let mut rows = self.rows(analysis, &table)?;
         rows.extend(skills(&rows));
@@ -313,6 +314,21 @@ impl Question {
                 Err(AnalysisError::UnknownModel { wanted: wanted.clone(), known })
             }
         }
+    }
+
+    fn check_given(&self, analysis: &Analysis) -> Result<(), AnalysisError> {
+        let Some(wanted) = &self.given else { return Ok(()) };
+        let experiments: Vec<&str> = analysis.experiments().collect();
+        let sql =
+            format!("select distinct {GIVEN} from all_metrics where {GIVEN} is not null order by {GIVEN}");
+        let table = analysis.query(&experiments, &sql)?;
+        let known =
+            table.column(GIVEN).and_then(|column| Ok(column.str()?.iter().flatten().map(str::to_owned)));
+        let known: Vec<String> = known.map_err(QueryError::Sql)?.collect();
+        if known.contains(wanted) {
+            return Ok(());
+        }
+        Err(AnalysisError::UnknownGiven { wanted: wanted.clone(), known })
     }
 
     /// Returns an error if a metric is none of the harness and no run has it as a user's own, or if no run predicts a

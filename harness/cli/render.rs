@@ -6,12 +6,13 @@ use super::table::shown;
 use super::{DONE, samples};
 use anyhow::Result;
 use clap::Args;
+use harness::experiment::ModelError;
 use harness::files::{WriteError, write_whole};
 use harness::numbers::counted;
 use harness::progress::Progress;
 use harness::registry::Registry;
 use harness::simulation::{EpisodePlan, Scene, SceneRenderer, replay};
-use harness::spec::{self, Simulation, World};
+use harness::spec::{self, Model, Simulation, World};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, DynamicImage, Frame, ImageFormat, RgbImage};
 use std::fs::File;
@@ -136,7 +137,10 @@ impl Render {
     /// Draws a scene or an episode.
     fn scene(&self, registry: &Registry, output: Output) -> Result<()> {
         let world = World::find(&self.world).map_err(|error| match registry.find(&self.world) {
-            Ok(_) => RenderError::Run(self.world.clone()).into(),
+            Ok((_, record)) => match record.spec.model {
+                Model::Trained(_) => RenderError::Run(self.world.clone()).into(),
+                Model::External(_) => ModelError::External(record.run).into(),
+            },
             Err(_) => anyhow::Error::from(error),
         })?;
         let simulation = match &self.spec {
