@@ -141,8 +141,8 @@ impl<'a> Printed<'a> {
             (self.words(subject, unit, style, &legend), self.cells(subject, unit, &sides, style))
         };
         let rows: Vec<_> = self.table.units.iter().map(row).collect();
-        // The last three words are the horizon, the modality and the metric.
-        let titles = rows.first().map_or(0, |(words, _)| words.len() - 3);
+        // The last four words are the horizon, the inputs that networks got, the modality and the metric.
+        let titles = rows.first().map_or(0, |(words, _)| words.len() - 4);
         let mark = if self.answer.against.is_some() { Mark::Significant } else { Mark::Best };
         Sheet { titles, header, rows, mark, notes: self.notes, legend: legend.into_iter().collect() }
     }

@@ -118,7 +118,8 @@ def networks_of(spec: Path) -> Iterator[Overrides]:
     """The settings of each network without memory that an experiment trains."""
     experiment = spec_of(spec)
     base = {key: experiment[key] for key in SETTINGS if key in experiment}
-    if "empty" not in experiment["scenarios"]:
+    # Only the world `cluttered` has boxes.
+    if not {"empty", "cluttered"}.issuperset(experiment["scenarios"]) or "boxes" in json.dumps(experiment):
         base["scenarios"] = experiment["scenarios"]
     axes = experiment.get("vary", {})
     labels = [axis for axis in axes.values() if isinstance(axis, dict) and axis != {"without": "each"}]

@@ -345,7 +345,7 @@ def test_wrong_submissions_are_refused(results: Path) -> None:
     refused(task, last, TypeError, "model: 3 must be a text", model=3)
     refused(task, last, ValueError, "seed: -1 must not be negative", seed=-1)
     refused(task, last, ValueError, "is too large", seed=2**60)
-    refused(task, last, OverflowError, "int", seed=2**64)
+    refused(task, last, ValueError, "must fit into 64 bits", seed=2**64)
     refused(task, last, TypeError, "must be an integer", seed=0.5)
     refused(task, last, ValueError, "batch_size: 0 must be at least 1", batch_size=0)
     refused(task, last, TypeError, "notes: .* must be a dictionary", notes=["commit"])
