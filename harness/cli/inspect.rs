@@ -80,13 +80,12 @@ impl List {
         }
         let mut recorded = registry.recorded();
         check_started(recorded.iter().map(|(_, record)| record), registry, &self.experiments)?;
-        let text = |text: &String| text_in_sql(text);
         let mut conditions = Vec::new();
         if !self.experiments.is_empty() {
-            let names: Vec<String> = self.experiments.iter().map(text).collect();
+            let names: Vec<String> = self.experiments.iter().map(|name| text_in_sql(name)).collect();
             conditions.push(format!("experiment in ({})", names.join(", ")));
         }
-        conditions.extend(self.status.iter().map(|status| format!("status = {}", text(status))));
+        conditions.extend(self.status.iter().map(|status| format!("status = {}", text_in_sql(status))));
         let chosen = if conditions.is_empty() { "true".to_owned() } else { conditions.join(" and ") };
         let order = if self.sort == "run" {
             // The query keeps the order of the runs.

@@ -12,7 +12,7 @@ import numpy as np
 
 from .labels import TRIAL, number
 from .mapping import Mapping, MappingError, Sampling, Selection
-from .recording import Takes, duration
+from .recording import Takes, aligned, duration
 from .streams import Take, needing
 
 WINDOWS = 8
@@ -168,8 +168,7 @@ def table(found: list[Lag], terms: tuple[str, str]) -> list[str]:
         )
         for each in found
     ]
-    widths = [max(len(row[index]) for row in rows) for index in range(len(head))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines = aligned(rows)
     delays = np.array([each.delay_s for each in found])
     half = t.ppf(0.975, len(delays) - 1) * delays.std(ddof=1) / np.sqrt(len(delays)) if len(delays) > 1 else np.nan
     half = half if len(delays) > 1 else found[0].half_s
