@@ -9,7 +9,9 @@ use harness_kernels::convolution::LANES;
 use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Draw, Encoder, Observation, Parameters, Targets, Value};
+use harness_learning::network::{
+    Architecture, Draw, Encoder, Observation, Parameters, Score, Targets, Value,
+};
 use harness_learning::objective::{Objective, Prediction, Weighted};
 use harness_learning::random::{Random, Stream};
 use harness_learning::state::StateFile;
@@ -580,7 +582,8 @@ fn assert_agrees_with_its_twin(name: &str, frames: bool, arithmetic: Arithmetic)
         (Modality::CONTACT_FORCE, "target.contact_force"),
         (Modality::FRAME_DIFFERENCE, "target.frame_difference"),
     ]);
-    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+    let targets =
+        Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
     let mut adam = Adam::new(parameters.values().cloned().collect(), 1e-3).unwrap();
     for step in 0..3 {
         let posterior = encoder.encode(&observation).unwrap();
@@ -754,6 +757,7 @@ impl Bench {
             input: &INPUT,
             output: &OUTPUT,
             training: &self.training,
+            score: Score::Loss,
         };
         let partition = &self.partition;
         let fit = Fit {

@@ -10,7 +10,7 @@
 
 use candle_core::{Device, Tensor};
 use clap::Parser;
-use harness::learning::network::{Architecture, Draw, Observation, Parameters, Seen, Targets, Value};
+use harness::learning::network::{Architecture, Draw, Observation, Parameters, Score, Seen, Targets, Value};
 use harness::learning::random::{Random, Stream};
 use harness::ops::Adam;
 use harness::ops::arithmetic;
@@ -171,7 +171,8 @@ fn main() -> anyhow::Result<()> {
         vector(Modality::CONTACT_FORCE, target.narrow(1, 20, 20)?.contiguous()?),
     ];
     let values: Observation = changed.into_iter().chain(vectors).collect();
-    let targets = Targets { values: &values, losses: &Default::default(), parts: 1, added: None };
+    let targets =
+        Targets { values: &values, losses: &Default::default(), parts: 1, score: Score::Loss, added: None };
     let mut step = |random: &mut Random, adam: &mut Adam| -> candle_core::Result<Tensor> {
         let draw = &mut Draw::Sample {
             random,

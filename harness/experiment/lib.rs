@@ -27,7 +27,7 @@ use harness_dataset::{AnyDataset, Dataset, DatasetError, Imported};
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Network, Parameters, architecture};
+use harness_learning::network::{Architecture, Network, Parameters, Score, architecture};
 use harness_learning::objective::{Objective, Prediction, Reconstruction};
 use harness_learning::predict::{Latents, TrainedDecoder, TrainedNetwork};
 use harness_learning::random::{Random, Stream};
@@ -603,6 +603,7 @@ impl TrainingRun<'_> {
             input: &spec.input,
             output: &spec.output,
             training: &self.trained.training,
+            score: Score::Loss,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();

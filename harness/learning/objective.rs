@@ -1,7 +1,7 @@
 //! Training objectives: the loss terms of a batch of windows.
 
 use super::data::{NormalizedData, indices};
-use super::network::{Decoder, Draw, Keeping, Network, Seen, State, Targets, Term, context};
+use super::network::{Decoder, Draw, Keeping, Network, Score, Seen, State, Targets, Term, context};
 use super::predict::Latents;
 use candle_core::{Result, Tensor};
 use harness_samples::{Sample, after, before};
@@ -45,6 +45,11 @@ pub trait Objective {
 
     /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
+
+    /// Returns the objective over detached parameters whose terms are the [`Score::Misses`] of distributions.
+    fn misses(&self) -> Box<dyn Objective + '_> {
+        self.detached()
+    }
 }
 
 /// Predicts the next samples of each that the network has seen, as many as the window's horizon, or estimates the sample
@@ -65,11 +70,13 @@ pub struct Prediction<'a> {
     pub output: &'a [Modality],
     /// Which samples are predicted further than the next one, and the losses with their weights.
     pub training: &'a Training,
+    /// What is computed of predicted distributions.
+    pub score: Score,
 }
 
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
-        let Self { data, network, window, training, .. } = self;
+        let Self { data, network, window, training, score, .. } = self;
         let rates = training.modality_dropout.rates(self.input);
         let mut keeping = draw.keeping(&rates, self.input.len(), at.len());
         let start = self.burned_in(at, &keeping, &mut draw)?;
@@ -78,7 +85,8 @@ impl Objective for Prediction<'_> {
         let Seen { mut state, divergence, .. } = self.unroll(at.len(), start, &seen, &encoded, &mut draw)?;
         let losses = |state: &State, of: &[Sample], present: &[Sample], keeping: &Keeping, parts: usize| {
             let values = data.targets(of, present, keeping, self.output)?;
-            network.losses(state, Targets { values: &values, losses: &training.losses, parts, added: None })
+            let (losses, score) = (&training.losses, *score);
+            network.losses(state, Targets { values: &values, losses, parts, score, added: None })
         };
         let next = losses(&state, &after(&seen, window.first_horizon()), &seen, &keeping, 1)?;
         let further = self.further();
@@ -128,6 +136,10 @@ impl Objective for Prediction<'_> {
 
     fn detached(&self) -> Box<dyn Objective + '_> {
         Box::new(Prediction { network: self.network.detached(), ..*self })
+    }
+
+    fn misses(&self) -> Box<dyn Objective + '_> {
+        Box::new(Prediction { network: self.network.detached(), score: Score::Misses, ..*self })
     }
 }
 
@@ -259,7 +271,8 @@ pub struct Reconstruction<'a> {
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
         let values = self.data.observation(at, self.input)?;
-        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+        let targets =
+            Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
         let terms = means(self.decoder.losses(&self.latents.rows(at)?, None, targets)?, 1.0)?;
         Ok(weighted(terms, &BTreeMap::new()))
     }

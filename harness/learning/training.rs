@@ -1,7 +1,7 @@
 //! The training loop: epochs of Adam steps, validation, early stopping, and saved states.
 
 use super::LearningError;
-use super::network::{Architecture, Draw, Parameters};
+use super::network::{Architecture, Draw, Parameters, Score};
 use super::objective::Objective;
 use super::random::{Random, Stream};
 use super::state::{State, StateFile};
@@ -109,7 +109,10 @@ impl Fit<'_> {
         parameters: &Parameters,
         architecture: &Architecture,
     ) -> CandleResult<()> {
-        architecture.recalibrate(parameters, &mut || self.validate(objective))
+        architecture.recalibrate(parameters, &mut |score| match score {
+            Score::Loss => self.validate(&*objective.detached()),
+            Score::Misses => self.validate(&*objective.misses()),
+        })
     }
 
     fn finished(&self, state: &State) -> bool {
@@ -139,7 +142,7 @@ impl Fit<'_> {
             train.add(steps.take(at, &mut random, &mut missing)?, at.len())?;
             self.progress.part(index as u64 + 1, epoch_steps as u64);
         }
-        let validation = self.validate(objective)?;
+        let validation = self.validate(&*objective.detached())?;
         let epoch = Epoch {
             epoch: index + 1,
             train: train.means()?,
@@ -167,11 +170,11 @@ impl Fit<'_> {
         Ok(())
     }
 
+    /// Returns the means of an objective's terms over the validation samples.
     fn validate(&self, objective: &dyn Objective) -> CandleResult<Losses> {
-        let objective = objective.detached();
         let mut sums = Sums::default();
         let windows = sequences(&self.partition.validation, objective.context(), |most| most / 2);
-        for at in windows.chunks(self.windows_per_step(&*objective)) {
+        for at in windows.chunks(self.windows_per_step(objective)) {
             let losses = StepLosses::of(&objective.terms(at, Draw::Mean)?)?.0;
             sums.add(losses, at.len())?;
         }

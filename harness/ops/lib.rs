@@ -32,7 +32,10 @@ pub use gru::gru;
 pub use linear::linear;
 pub use posterior::{balanced_divergence, divergences, kl_divergence, sample};
 pub use rssm::rssm;
-pub use scores::{cross_entropy, gaussian_crps, softplus, truncated_laplace_crps, truncated_laplace_mean};
+pub use scores::{
+    cross_entropy, gaussian_crps, softplus, truncated_laplace_cdf, truncated_laplace_crps,
+    truncated_laplace_mean,
+};
 pub use stack::Stack;
 pub use two_layers::two_layers;
 pub use vector_losses::{composed, vector_losses};

@@ -62,6 +62,24 @@ pub fn truncated_laplace_mean(location: &Tensor, scale: &Tensor, least: &Tensor)
     location + (scale * share)?
 }
 
+/// Returns the probability of values up to the target in a Laplace distribution of which only the values above `least`
+/// are left. The arguments are those of [`truncated_laplace_crps`].
+///
+/// # Errors
+/// When candle can't compute an operation.
+pub fn truncated_laplace_cdf(
+    location: &Tensor,
+    scale: &Tensor,
+    least: &Tensor,
+    target: &Tensor,
+) -> Result<Tensor> {
+    let z = ((target - location)? / scale)?;
+    let below = ((location.broadcast_sub(least)? / scale)?.neg()?.exp()? * 0.5)?;
+    let tail = (z.abs()?.neg()?.exp()? * 0.5)?;
+    let whole = z.gt(0.0)?.where_cond(&(1.0 - &tail)?, &tail)?;
+    (whole - &below)? / (1.0 - below)?
+}
+
 /// Twice the density of the standard normal distribution.
 fn twice_density(z: &Tensor) -> Result<Tensor> {
     (z.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt()

@@ -60,7 +60,15 @@ fn fitted(
 ) -> Vec<f64> {
     let training =
         Training { epochs, learning_rate: 0.02, patience: None, batch_size: 8, ..Training::default() };
-    let objective = Prediction { data: &bench.data, network, window, input, output, training: &training };
+    let objective = Prediction {
+        data: &bench.data,
+        network,
+        window,
+        input,
+        output,
+        training: &training,
+        score: Score::Loss,
+    };
     let partition = &bench.data.samples.partition(&Split::default(), window).unwrap();
     let (state, progress) = (&StateFile::none(), &harness_shared::progress::Silent);
     let fit = Fit {

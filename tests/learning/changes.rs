@@ -77,8 +77,15 @@ pub(super) fn loss_and_score<T>(
     let (bench, network, _) = bench(memory, family);
     let data = &bench.data;
     let training = Training { batch_size: 8, ..Training::default() };
-    let objective =
-        Prediction { data, network, window: &WINDOW, input: &BOTH, output: &BOTH, training: &training };
+    let objective = Prediction {
+        data,
+        network,
+        window: &WINDOW,
+        input: &BOTH,
+        output: &BOTH,
+        training: &training,
+        score: Score::Loss,
+    };
     let at = &bench.partition.test[..1];
     let terms = objective.terms(at, Draw::Mean).unwrap();
     let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
@@ -150,6 +157,7 @@ fn gradients_of(family: Family) {
         input: &BOTH,
         output: &BOTH,
         training: &training,
+        score: Score::Loss,
     };
     let at = &bench.partition.training[..3];
     let loss = || {

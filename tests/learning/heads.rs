@@ -1,12 +1,15 @@
 //! Networks that predict distributions.
 
-use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, received, trained};
+use super::changes::{BOTH, MEMORIES, WINDOW, bench, loss_and_score, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
 use harness_learning::network::{Decoder, Hurdle, Spread};
 use harness_learning::predict::TrainedNetwork;
 use harness_metrics::Ensemble;
-use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_laplace_crps, truncated_laplace_mean};
+use harness_ops::{
+    cross_entropy, gaussian_crps, softplus, truncated_laplace_cdf, truncated_laplace_crps,
+    truncated_laplace_mean,
+};
 use harness_spec::Family;
 use statrs::distribution::{ContinuousCDF, Laplace, Normal};
 
@@ -47,12 +50,15 @@ fn the_score_of_a_truncated_laplace_is_its_crps() {
     let least = Tensor::new(LEAST as f32, &Device::Cpu).unwrap();
     let (mean, scale) = (row(&means), row(&scales));
     let found = truncated_laplace_crps(&mean, &scale, &least, &row(&targets)).unwrap();
+    let belows =
+        truncated_laplace_cdf(&mean, &scale, &least, &row(&targets)).unwrap().to_vec1::<f32>().unwrap();
     let found_means = truncated_laplace_mean(&mean, &scale, &least).unwrap().to_vec1::<f32>().unwrap();
     for (index, found) in found.to_vec1::<f32>().unwrap().into_iter().enumerate() {
         let [mean, scale, target] = [means[index], scales[index], targets[index]].map(f64::from);
         let laplace = Laplace::new(mean, scale).unwrap();
         let below = laplace.cdf(LEAST);
         let cdf = |x: f64| (laplace.cdf(x) - below).max(0.0) / (1.0 - below);
+        assert!((f64::from(belows[index]) - cdf(target)).abs() < 1e-6, "{index}: {}", belows[index]);
         let expected = crps_of(cdf, target, [LEAST, 30.0]);
         assert!((f64::from(found) - expected).abs() < 1e-3 * expected, "{index}: {found} {expected}");
         // The mean is the bound plus the integral of the probability of a higher value, a CRPS without its square.
@@ -113,8 +119,41 @@ fn the_loss_is_the_crps_of_the_judged_distributions() {
 }
 
 #[test]
+fn misses_are_the_values_outside_the_judged_intervals() {
+    let (bench, network, _) = bench(Memory::None, Family::Gaussian);
+    let (data, training) = (&bench.data, Training::default());
+    let window = Window { horizon: 1, ..WINDOW };
+    let objective = Prediction {
+        data,
+        network,
+        window: &window,
+        input: &BOTH,
+        output: &BOTH,
+        training: &training,
+        score: Score::Loss,
+    };
+    let at = &bench.partition.training[..40];
+    let misses = objective.misses();
+    let terms = misses.terms(at, Draw::Mean).unwrap();
+    let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
+    let judged = trained(data, objective.network.detached(), &window);
+    let found = &received(&judged, at, Modality::ARM, distribution)[&1];
+    let references = harness_samples::after(at, 1)
+        .into_iter()
+        .flat_map(|at| data.samples.vector(Modality::ARM, at).to_vec());
+    let outside = references.enumerate().filter(|(index, reference)| {
+        let distribution = found.at(*index);
+        !(distribution.quantile(0.05)..=distribution.quantile(0.95)).contains(&f64::from(*reference))
+    });
+    let outside = outside.count() as f32 / (at.len() * ARM_JOINTS) as f32;
+    let misses = term.value.to_scalar::<f32>().unwrap();
+    assert!(outside > 0.02 && outside < 0.98, "{outside}");
+    assert!((misses - (outside - 0.1)).abs() < 0.02, "{misses} {outside}");
+}
+
+#[test]
 fn recalibration_finds_the_scale_and_the_probability_of_the_validation_samples() {
-    // The losses have their minima at a factor of 1.7 for the scales and of 0.6 for the logits.
+    // The scales' intervals are right with a factor of 1.7. The loss is lowest with a factor of 0.6 for the logits.
     let bench = Bench::new();
     let architecture = Architecture {
         output: vec![FORCE],
@@ -132,18 +171,24 @@ fn recalibration_finds_the_scale_and_the_probability_of_the_validation_samples()
         let now = of(parameters);
         [f64::from(now[scale] - before[scale]), f64::from(now[logit] / before[logit]).ln()]
     };
-    let mut losses = || {
+    let mut scores = |score| {
         let [scale, logit] = found(&parameters);
-        let loss = (scale - 1.7f64.ln()).powi(2) + (logit - 0.6f64.ln()).powi(2);
-        Ok([(FORCE.to_string(), loss)].into())
+        let score = match score {
+            Score::Misses => 1.7f64.ln() - scale,
+            Score::Loss => (logit - 0.6f64.ln()).powi(2),
+        };
+        Ok([(FORCE.to_string(), score)].into())
     };
-    architecture.recalibrate(&parameters, &mut losses).unwrap();
+    architecture.recalibrate(&parameters, &mut scores).unwrap();
     let [scale, logit] = found(&parameters);
     assert!((scale - 1.7f64.ln()).abs() < 1e-3 && (logit - 0.6f64.ln()).abs() < 1e-3, "{scale} {logit}");
-    // Without validation samples, nothing changes.
+    // Without validation samples, and without contacts in them, nothing changes.
     let calibrated = of(&parameters);
-    architecture.recalibrate(&parameters, &mut || Ok(BTreeMap::new())).unwrap();
-    assert_eq!(of(&parameters), calibrated);
+    for misses in [BTreeMap::new(), [(FORCE.to_string(), 0.0)].into()] {
+        let mut scores = |score| Ok(if score == Score::Misses { misses.clone() } else { BTreeMap::new() });
+        architecture.recalibrate(&parameters, &mut scores).unwrap();
+        assert_eq!(of(&parameters), calibrated);
+    }
 }
 
 #[test]
@@ -198,7 +243,8 @@ fn a_hurdle_with_a_certain_contact_is_a_laplace_distribution() {
     let (latent, action) =
         (row(&[0.0; 3]).unsqueeze(0).unwrap(), row(&[0.0; ARM_JOINTS]).unsqueeze(0).unwrap());
     let decoder = constant_decoder(&bench, Family::Hurdle, &[30.0, 0.3, 60.0]);
-    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+    let targets =
+        Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
     let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
     let mean = decoder.decode(&latent, Some(&action)).unwrap().remove(&FORCE).unwrap();
     let Spread { scale: deviation, hurdle } =
@@ -223,7 +269,8 @@ fn a_hurdle_with_a_certain_contact_is_a_laplace_distribution() {
         }),
     )];
     let values: Observation = none.into_iter().collect();
-    let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+    let targets =
+        Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
     let decoder = constant_decoder(&bench, Family::Hurdle, &[30.0, 0.3, 0.0]);
     let loss = decoder.losses(&latent, Some(&action), targets).unwrap().remove(0).value;
     assert!((scalar(&loss.get(0).unwrap()).unwrap() - 2f64.ln()).abs() < 1e-6);

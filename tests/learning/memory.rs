@@ -44,7 +44,15 @@ fn objective<'a>(
     window: &'a Window,
     training: &'a Training,
 ) -> Prediction<'a> {
-    Prediction { data: &bench.data, network, window, input: &ANGLES, output: &ARM, training }
+    Prediction {
+        data: &bench.data,
+        network,
+        window,
+        input: &ANGLES,
+        output: &ARM,
+        training,
+        score: Score::Loss,
+    }
 }
 
 /// Settings of a loss of which the divergence is a larger part than by default.
@@ -336,7 +344,8 @@ fn assert_memory_agrees_with_its_twin(memory: Memory) {
         assert_close(&vectors, twin.get(vector), TWIN_TOLERANCE, vector);
         let [angles, forces] = ["proprioception", "contact_force"].map(|name| format!("{target}.{name}"));
         let values = twin.values([(Modality::PROPRIOCEPTION, &*angles), (Modality::CONTACT_FORCE, &*forces)]);
-        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+        let targets =
+            Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
         for term in network.losses(&state, targets).unwrap() {
             terms.entry(term.modality).or_default().push(term.value.get(0).unwrap());
         }
@@ -535,7 +544,8 @@ fn losses_after(
             state = network.act(&state, &data.actions(&ahead(distance - 1)).unwrap()).unwrap();
         }
         let values = data.observation(&ahead(distance), &ARM).unwrap();
-        let targets = Targets { values: &values, losses: &BTreeMap::new(), parts: 1, added: None };
+        let targets =
+            Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
         network.losses(&state, targets).unwrap().remove(0).value.get(0).unwrap()
     });
     let losses: Vec<Tensor> = losses.collect();

@@ -67,6 +67,7 @@ fn a_window_that_lacks_an_input_has_the_loss_of_one_that_is_not_given() {
                 input: &BOTH,
                 output: &BOTH,
                 training: &training,
+                score: Score::Loss,
             };
             let (mut random, mut missing) = (random(3), Random::new(1, Stream::Missing { epoch: 0 }));
             let draw = Draw::Sample { random: &mut random, dropout: 0.0, missing: &mut missing };

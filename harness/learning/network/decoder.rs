@@ -3,7 +3,7 @@
 use super::description::{ACTION, LATENT, Layer};
 use super::head::{Head, heads};
 use super::layers::{Builder, FrameOutput, Perceptron};
-use super::{Architecture, Decoded, Decoder, Spreads, Targets, Term};
+use super::{Architecture, Decoded, Decoder, Score, Spreads, Targets, Term};
 use candle_core::{Result, Tensor};
 use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, frames, vector_losses};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
@@ -166,7 +166,13 @@ impl Decoder for PerceptronDecoder {
             let losses = vector_losses(&predicted, &target, &quantities, targets.parts)?;
             for (index, modality) in vectors.into_iter().enumerate() {
                 let value = match self.heads.get(&modality) {
-                    Some(head) => head.losses(&outputs, &predicted, &target, targets.parts)?,
+                    Some(head) => {
+                        let score = match targets.score {
+                            Score::Loss => Head::losses,
+                            Score::Misses => Head::misses,
+                        };
+                        score(head, &outputs, &predicted, &target, targets.parts)?
+                    }
                     None => losses.get(index)?,
                 };
                 terms.push(Term { modality, value });

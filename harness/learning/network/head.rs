@@ -3,7 +3,10 @@
 use super::{Architecture, Hurdle, Spread};
 use candle_core::{DType, Result, Tensor};
 use candle_nn::ops::sigmoid;
-use harness_ops::{cross_entropy, gaussian_crps, softplus, truncated_laplace_crps, truncated_laplace_mean};
+use harness_ops::{
+    cross_entropy, gaussian_crps, softplus, truncated_laplace_cdf, truncated_laplace_crps,
+    truncated_laplace_mean,
+};
 use harness_spec::{Family, Modality};
 use std::collections::BTreeMap;
 
@@ -12,6 +15,9 @@ pub(super) const LEAST_SCALE: f64 = 1e-3;
 
 /// The greatest logarithm of a scale, in normalized units. Without it, a single step of training can overflow a scale.
 pub(super) const GREATEST_LOGARITHM: f64 = 3.0;
+
+/// Half the width of the central 90 % interval of a standard Gaussian.
+const GAUSSIAN_90: f64 = 1.644_853_626_951_472_7;
 
 /// Returns the heads of those vectors of which a distribution is predicted, and the number of columns of all vectors:
 /// first their values, and then what the heads have besides.
@@ -84,6 +90,24 @@ impl Head {
             }
         };
         scores.reshape((parts, ()))?.mean(1)
+    }
+
+    /// Returns, for each of the equal `parts` of the batch, the share of the values outside the central 90 % interval,
+    /// less a tenth of the values, `[parts]`. Only values with a contact count in a hurdle. It is 0 if the intervals
+    /// keep their promise.
+    pub fn misses(&self, outputs: &Tensor, values: &Tensor, target: &Tensor, parts: usize) -> Result<Tensor> {
+        let (target, Spread { scale, hurdle }) = (self.columns(target, self.start)?, self.spread(outputs)?);
+        let misses = |distance: Tensor, most: f64| distance.abs()?.gt(most)?.to_dtype(DType::F32)? - 0.1;
+        let misses = match hurdle {
+            None => misses(((target - self.columns(values, self.start)?)? / scale)?, GAUSSIAN_90)?,
+            Some(Hurdle { location, .. }) => {
+                let [_, threshold] = self.bounds()?;
+                let below = truncated_laplace_cdf(&location, &scale, threshold, &target)?;
+                let touches = target.broadcast_gt(threshold)?.to_dtype(DType::F32)?;
+                (misses((below - 0.5)?, 0.45)? * touches)?
+            }
+        };
+        misses.reshape((parts, ()))?.mean(1)
     }
 
     /// Returns the location of a hurdle: at least the threshold, and about the raw location above it.

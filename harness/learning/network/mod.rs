@@ -535,6 +535,16 @@ pub struct Term {
     pub value: Tensor,
 }
 
+/// What is computed of a predicted distribution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Score {
+    /// The loss, which training minimizes.
+    Loss,
+    /// By how much the share of the values outside the central 90 % interval exceeds a tenth. Values without a
+    /// distribution still have their loss.
+    Misses,
+}
+
 /// What a decoder should predict.
 #[derive(Clone, Copy)]
 pub struct Targets<'a> {
@@ -544,6 +554,8 @@ pub struct Targets<'a> {
     pub losses: &'a BTreeMap<Modality, Loss>,
     /// Number of equal parts of the batch that have losses of their own, one after the other.
     pub parts: usize,
+    /// What is computed of predicted distributions.
+    pub score: Score,
     /// What is added to all predicted vectors, `[batch, width]`, if something is.
     pub added: Option<&'a Tensor>,
 }
