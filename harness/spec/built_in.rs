@@ -55,6 +55,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "paper",
     "readings",
     "recommended",
+    "reproduction",
     "search",
     "senses",
     "single_to_multi",
