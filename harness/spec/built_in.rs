@@ -39,6 +39,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "choose_sight",
     "first",
     "force_assumptions",
+    "history",
     "intervals",
     "latent_assumptions",
     "memory",
