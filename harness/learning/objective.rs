@@ -46,8 +46,8 @@ pub trait Objective {
     /// Returns the same objective over detached parameters, so that no gradients are computed.
     fn detached(&self) -> Box<dyn Objective + '_>;
 
-    /// Returns the objective over detached parameters whose terms are the [`Score::Misses`] of distributions.
-    fn misses(&self) -> Box<dyn Objective + '_> {
+    /// Returns the objective over detached parameters whose terms are the [`Score::Intervals`] of distributions.
+    fn intervals(&self) -> Box<dyn Objective + '_> {
         self.detached()
     }
 }
@@ -138,8 +138,8 @@ impl Objective for Prediction<'_> {
         Box::new(Prediction { network: self.network.detached(), ..*self })
     }
 
-    fn misses(&self) -> Box<dyn Objective + '_> {
-        Box::new(Prediction { network: self.network.detached(), score: Score::Misses, ..*self })
+    fn intervals(&self) -> Box<dyn Objective + '_> {
+        Box::new(Prediction { network: self.network.detached(), score: Score::Intervals, ..*self })
     }
 }
 

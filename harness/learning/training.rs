@@ -111,7 +111,7 @@ impl Fit<'_> {
     ) -> CandleResult<()> {
         architecture.recalibrate(parameters, &mut |score| match score {
             Score::Loss => self.validate(&*objective.detached()),
-            Score::Misses => self.validate(&*objective.misses()),
+            Score::Intervals => self.validate(&*objective.intervals()),
         })
     }
 

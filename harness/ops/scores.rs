@@ -62,22 +62,38 @@ pub fn truncated_laplace_mean(location: &Tensor, scale: &Tensor, least: &Tensor)
     location + (scale * share)?
 }
 
-/// Returns the probability of values up to the target in a Laplace distribution of which only the values above `least`
-/// are left. The arguments are those of [`truncated_laplace_crps`].
+/// Returns the quantile of this probability, at least one half, and that of the probability which it lacks to 1, of a
+/// Laplace distribution of which only the values above `least` are left. The other arguments are those of
+/// [`truncated_laplace_crps`].
 ///
 /// # Errors
 /// When candle can't compute an operation.
-pub fn truncated_laplace_cdf(
+pub fn truncated_laplace_quantiles(
     location: &Tensor,
     scale: &Tensor,
     least: &Tensor,
-    target: &Tensor,
-) -> Result<Tensor> {
-    let z = ((target - location)? / scale)?;
+    probability: f64,
+) -> Result<[Tensor; 2]> {
     let below = ((location.broadcast_sub(least)? / scale)?.neg()?.exp()? * 0.5)?;
-    let tail = (z.abs()?.neg()?.exp()? * 0.5)?;
-    let whole = z.gt(0.0)?.where_cond(&(1.0 - &tail)?, &tail)?;
-    (whole - &below)? / (1.0 - below)?
+    // Twice the probabilities of higher values in the whole distribution.
+    let higher = |share: f64| (1.0 - &below)? * (2.0 * share);
+    let above = |share: f64| location - (scale * higher(share)?.log()?)?;
+    let [upper, lower] = [1.0 - probability, probability];
+    let is_below = higher(lower)?.gt(1.0)?;
+    let lower =
+        is_below.where_cond(&(location + (scale * (2.0 - higher(lower)?)?.log()?)?)?, &above(lower)?)?;
+    Ok([above(upper)?, lower])
+}
+
+/// Returns the interval score of an interval that contains a value with this probability, in the unit of the target
+/// (Gneiting and Raftery, 2007, *Strictly proper scoring rules, prediction, and estimation*, equation 43). All tensors
+/// have the same shape.
+///
+/// # Errors
+/// When candle can't compute an operation.
+pub fn interval_score(lower: &Tensor, upper: &Tensor, probability: f64, target: &Tensor) -> Result<Tensor> {
+    let outside = ((lower - target)?.relu()? + (target - upper)?.relu()?)?;
+    (upper - lower)? + (outside * (2.0 / (1.0 - probability)))?
 }
 
 /// Twice the density of the standard normal distribution.

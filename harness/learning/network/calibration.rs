@@ -1,11 +1,10 @@
 //! Recalibration of predicted distributions after a training.
 //!
 //! A network is more certain of the samples that it was trained on than of others. So the scales of each output are
-//! multiplied by one factor, such that 90 % of the validation samples lie in their 90 % intervals (Kuleshov, Fenner and
-//! Ermon, 2018, *Accurate uncertainties for deep learning using calibrated regression*), and its logits of a contact by
-//! another, such that the loss of the validation samples is lowest (Guo et al., 2017, *On calibration of modern neural
-//! networks*). Both are factors of the decoder's last layer, so that a recalibrated network has the same form as any
-//! other.
+//! multiplied by one factor, such that the score of the 90 % intervals of the validation samples is lowest, and its
+//! logits of a contact by another, such that their loss is lowest (Guo et al., 2017, *On calibration of modern neural
+//! networks*; Levi et al., 2022, *Evaluating and calibrating uncertainty prediction in regression tasks*). Both are
+//! factors of the decoder's last layer, so that a recalibrated network has the same form as any other.
 
 use super::head::{Head, heads};
 use super::{Architecture, Parameters, Score};
@@ -59,9 +58,9 @@ struct Recalibration<'a> {
 
 impl Recalibration<'_> {
     fn run(&self, scores: &mut Scores) -> Result<()> {
-        let (score, best): (_, fn(&[f64]) -> f64) = match self.multiplied {
-            Multiplied::Scales => (Score::Misses, crossing),
-            Multiplied::Logits => (Score::Loss, lowest),
+        let score = match self.multiplied {
+            Multiplied::Scales => Score::Intervals,
+            Multiplied::Logits => Score::Loss,
         };
         let [weight, bias] = self.layer.map(|part| part.as_tensor().detach().copy());
         let trained = [weight?, bias?];
@@ -73,7 +72,7 @@ impl Recalibration<'_> {
         let of = |modality: Modality| {
             let scores: Option<Vec<f64>> =
                 tried.iter().map(|scores| scores.get(&modality.to_string()).copied()).collect();
-            scores.map_or(0.0, |scores| best(&scores))
+            scores.map_or(0.0, |scores| lowest(&scores))
         };
         self.set(&trained, &of)
     }
@@ -100,31 +99,18 @@ impl Recalibration<'_> {
     }
 }
 
-/// Returns where the scores at [`TRIED`], which decrease, cross 0, or the end that is next to it. Scores that are all 0
-/// have no such place: no factor is best, and the binary logarithm 0 changes nothing.
-fn crossing(scores: &[f64]) -> f64 {
-    if scores.iter().all(|score| *score == 0.0) {
+/// Returns where the scores at [`TRIED`] are lowest: the vertex of the parabola through the lowest of them and its
+/// neighbors, or one of the ends. Equal scores, as without any contact, ask for no change.
+fn lowest(scores: &[f64]) -> f64 {
+    if scores.iter().all(|score| *score == scores[0]) {
         return 0.0;
     }
-    match scores.iter().position(|score| *score <= 0.0) {
-        None => TRIED[TRIED.len() - 1],
-        Some(0) => TRIED[0],
-        Some(after) => {
-            let [before, at] = [scores[after - 1], scores[after]];
-            TRIED[after - 1] + (TRIED[after] - TRIED[after - 1]) * before / (before - at)
-        }
-    }
-}
-
-/// Returns where the losses at [`TRIED`] are lowest: the vertex of the parabola through the lowest of them and its
-/// neighbors, or one of the ends.
-fn lowest(losses: &[f64]) -> f64 {
-    let by_loss = |a: &usize, b: &usize| losses[*a].total_cmp(&losses[*b]);
-    let best = (0..TRIED.len()).min_by(by_loss).unwrap_or_default();
+    let by_score = |a: &usize, b: &usize| scores[*a].total_cmp(&scores[*b]);
+    let best = (0..TRIED.len()).min_by(by_score).unwrap_or_default();
     if best == 0 || best + 1 == TRIED.len() {
         return TRIED[best];
     }
-    let [before, at, after] = [losses[best - 1], losses[best], losses[best + 1]];
+    let [before, at, after] = [scores[best - 1], scores[best], scores[best + 1]];
     let (slope, curvature) = (after - before, after - 2.0 * at + before);
     let step = TRIED[best + 1] - TRIED[best];
     if curvature > 0.0 { TRIED[best] - step * slope / (2.0 * curvature) } else { TRIED[best] }

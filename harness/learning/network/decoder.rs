@@ -169,7 +169,7 @@ impl Decoder for PerceptronDecoder {
                     Some(head) => {
                         let score = match targets.score {
                             Score::Loss => Head::losses,
-                            Score::Misses => Head::misses,
+                            Score::Intervals => Head::intervals,
                         };
                         score(head, &outputs, &predicted, &target, targets.parts)?
                     }

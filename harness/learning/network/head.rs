@@ -4,8 +4,8 @@ use super::{Architecture, Hurdle, Spread};
 use candle_core::{DType, Result, Tensor};
 use candle_nn::ops::sigmoid;
 use harness_ops::{
-    cross_entropy, gaussian_crps, softplus, truncated_laplace_cdf, truncated_laplace_crps,
-    truncated_laplace_mean,
+    cross_entropy, gaussian_crps, interval_score, softplus, truncated_laplace_crps, truncated_laplace_mean,
+    truncated_laplace_quantiles,
 };
 use harness_spec::{Family, Modality};
 use std::collections::BTreeMap;
@@ -92,22 +92,29 @@ impl Head {
         scores.reshape((parts, ()))?.mean(1)
     }
 
-    /// Returns, for each of the equal `parts` of the batch, the share of the values outside the central 90 % interval,
-    /// less a tenth of the values, `[parts]`. Only values with a contact count in a hurdle. It is 0 if the intervals
-    /// keep their promise.
-    pub fn misses(&self, outputs: &Tensor, values: &Tensor, target: &Tensor, parts: usize) -> Result<Tensor> {
+    /// Returns the mean score of the central 90 % intervals over each of the equal `parts` of the batch, `[parts]`. Only
+    /// values with a contact count in a hurdle. The arguments are those of [`losses`](Self::losses).
+    pub fn intervals(
+        &self,
+        outputs: &Tensor,
+        values: &Tensor,
+        target: &Tensor,
+        parts: usize,
+    ) -> Result<Tensor> {
         let (target, Spread { scale, hurdle }) = (self.columns(target, self.start)?, self.spread(outputs)?);
-        let misses = |distance: Tensor, most: f64| distance.abs()?.gt(most)?.to_dtype(DType::F32)? - 0.1;
-        let misses = match hurdle {
-            None => misses(((target - self.columns(values, self.start)?)? / scale)?, GAUSSIAN_90)?,
+        let scores = match hurdle {
+            None => {
+                let (means, half) = (self.columns(values, self.start)?, (scale * GAUSSIAN_90)?);
+                interval_score(&(&means - &half)?, &(means + half)?, 0.9, &target)?
+            }
             Some(Hurdle { location, .. }) => {
                 let [_, threshold] = self.bounds()?;
-                let below = truncated_laplace_cdf(&location, &scale, threshold, &target)?;
+                let [upper, lower] = truncated_laplace_quantiles(&location, &scale, threshold, 0.95)?;
                 let touches = target.broadcast_gt(threshold)?.to_dtype(DType::F32)?;
-                (misses((below - 0.5)?, 0.45)? * touches)?
+                (interval_score(&lower, &upper, 0.9, &target)? * touches)?
             }
         };
-        misses.reshape((parts, ()))?.mean(1)
+        scores.reshape((parts, ()))?.mean(1)
     }
 
     /// Returns the location of a hurdle: at least the threshold, and about the raw location above it.

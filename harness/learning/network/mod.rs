@@ -540,9 +540,8 @@ pub struct Term {
 pub enum Score {
     /// The loss, which training minimizes.
     Loss,
-    /// By how much the share of the values outside the central 90 % interval exceeds a tenth. Values without a
-    /// distribution still have their loss.
-    Misses,
+    /// The score of central 90 % intervals. Values without a distribution still have their loss.
+    Intervals,
 }
 
 /// What a decoder should predict.
