@@ -8,30 +8,29 @@
 // The modules of the command line use the library by its name, like any other user.
 extern crate self as harness;
 // These macros replace those of the standard library, which panic if a stream is full or closed.
-#[macro_use(print, println, eprintln)]
-extern crate harness_terminal;
+#[macro_use]
+mod terminal;
 
 pub mod cli;
 
 pub use harness_analysis as analysis;
 pub use harness_catalog as catalog;
 pub use harness_claims as claims;
-pub use harness_collection as collection;
-pub use harness_dataset as dataset;
 pub use harness_experiment as experiment;
+pub use harness_experiment::{collection, shard};
 pub use harness_figures as figures;
 pub use harness_judge as judge;
 pub use harness_learning as learning;
 pub use harness_metrics as metrics;
 pub use harness_ops as ops;
 pub use harness_registry as registry;
+pub use harness_registry::{dataset, transfer};
 pub use harness_report as report;
 pub use harness_samples as samples;
 pub use harness_serve as serve;
-pub use harness_shared::{files, meant, memory, nearest, numbers, progress, seal, shard};
+pub use harness_shared::{files, meant, memory, nearest, numbers, progress, seal};
 pub use harness_simulation as simulation;
 pub use harness_spec as spec;
 pub use harness_sql as sql;
 pub use harness_tables as tables;
 pub use harness_tables::schema;
-pub use harness_transfer as transfer;

@@ -3,7 +3,7 @@
 
 use crate::common::{Answer, Disk, FAILING, SMOKE, finish, fresh, harness, succeed, write_script};
 use crate::interruption::{signal, start_command};
-use harness_shared::turns::{Turn, Turns};
+use harness_experiment::turns::{Turn, Turns};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};

@@ -1,9 +1,9 @@
 //! Datasets of real simulations: they do not depend on threads or interruptions, and are read as they were written.
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
-use harness_collection::{CollectionError, collect, dataset_of};
-use harness_dataset::{AnyDataset, CompiledModel, Dataset, DatasetError};
+use harness_experiment::collection::{CollectionError, collect, dataset_of};
 use harness_ops::frames::{Frames, SampleFrames};
+use harness_registry::dataset::{AnyDataset, CompiledModel, Dataset, DatasetError};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
 use harness_shared::files::UNFINISHED;
 use harness_shared::progress::{Progress, Silent};

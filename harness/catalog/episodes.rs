@@ -1,6 +1,6 @@
 //! The files of the `episodes` table.
 
-use harness_dataset::inspect;
+use harness_registry::dataset::inspect;
 use harness_registry::{Recorded, Registry, RegistryError, episodes_used};
 use harness_shared::files::{FolderLock, folders};
 use std::path::{Path, PathBuf};

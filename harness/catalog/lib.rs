@@ -10,7 +10,7 @@ pub use error::QueryError;
 pub use format::{TableFormat, rows, save};
 
 use episodes::episode_files;
-use harness_dataset::layout_of;
+use harness_registry::dataset::layout_of;
 use harness_registry::{Recorded, Registry, RunRecord, Status, live_table, runs_table};
 use harness_shared::files::folders;
 use harness_spec::{Layout, Task};

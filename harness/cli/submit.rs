@@ -7,6 +7,7 @@
 use super::format::{Form, print_page};
 use super::run::Spec;
 use super::sheet::Style;
+use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
 use super::table::{Grid, print_command, print_text, print_texts, shown};
 use super::{DONE, interrupt};
 use anyhow::{Result, bail};
@@ -16,7 +17,6 @@ use harness::files::{write_bytes, write_whole};
 use harness::numbers::counted;
 use harness::progress::Silent;
 use harness::registry::Registry;
-use harness_slurm::{self as slurm, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
 use polars::prelude::{Column, DataFrame};
 use serde::{Deserialize, Serialize};
 use serde_yaml::{MessageFormatter, UserMessageFormatter};

@@ -3,8 +3,8 @@
 use super::evaluate::{self, References};
 use super::simulator::simulated;
 use super::{ExperimentError, OpenData, Runner, Source, describe};
-use harness_dataset::AnyDataset;
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
+use harness_registry::dataset::AnyDataset;
 use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings, quoted};
 use harness_samples::{Partition, Sample, Samples, ends};
 use harness_shared::files::FolderLock;

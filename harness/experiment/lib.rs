@@ -1,5 +1,6 @@
 //! Runs experiments: from a spec to episodes, a dataset, training, metrics and a record.
 
+pub mod collection;
 mod evaluate;
 mod export;
 mod external;
@@ -8,7 +9,9 @@ mod recorded;
 mod rollout;
 mod schedule;
 mod search;
+pub mod shard;
 mod simulator;
+pub mod turns;
 mod worlds;
 
 pub use export::{attached, may_have_network, network_files, onnx};
@@ -21,9 +24,9 @@ pub use search::{Best, best};
 pub use simulator::SimulatorError;
 pub use worlds::results;
 
+use crate::collection::{CollectionError, collect, collect_together, dataset_of};
+use crate::shard::Shard;
 use evaluate::References;
-use harness_collection::{CollectionError, collect, collect_together, dataset_of};
-use harness_dataset::{AnyDataset, Dataset, DatasetError, Imported};
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
@@ -35,6 +38,7 @@ use harness_learning::state::StateFile;
 use harness_learning::training::Fit;
 use harness_learning::{self as learning, LearningError, checkpoint, open_device};
 use harness_metrics::latent;
+use harness_registry::dataset::{AnyDataset, Dataset, DatasetError, Imported};
 use harness_registry::{
     Claimed, Decision, LiveEpochs, Outcome, Provenance, Registry, RegistryError, RunFolder, RunRecord,
     Timings, Versions,
@@ -43,7 +47,6 @@ use harness_samples::{FramePlace, Normalizers, Partition, Samples, frame_bytes};
 use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
-use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
 use harness_spec::{Device, Experiment, Given, Layout, RunSpec, Task, Trained, World};
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! What may be wrong with a recording as the data of an experiment.
 
 use super::ExperimentError;
-use harness_dataset::{AnyDataset, Imported};
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
+use harness_registry::dataset::{AnyDataset, Imported};
 use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
 use harness_shared::numbers::{counted, first_few};
 use harness_shared::progress::Silent;

@@ -2,13 +2,13 @@
 
 use super::model::{ModelError, applied, finished, load_network, normalizers};
 use candle_core::Device;
-use harness_dataset::{AnyDataset, DatasetError};
 use harness_judge::{BATCH, JudgeError, Predictor};
 use harness_learning::LearningError;
 use harness_learning::data::NormalizedData;
 use harness_learning::network::Parameters;
 use harness_learning::predict::TrainedNetwork;
 use harness_learning::random::{Random, Stream};
+use harness_registry::dataset::{AnyDataset, DatasetError};
 use harness_registry::{Registry, RunRecord};
 use harness_samples::{Sample, Samples};
 use harness_shared::numbers::counted;

@@ -4,13 +4,13 @@
 use super::{
     ExperimentError, OpenData, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes,
 };
-use harness_collection::check_missing;
-use harness_dataset::AnyDataset;
+use crate::collection::check_missing;
+use crate::turns::{Turn, Turns};
 use harness_learning::open_device;
+use harness_registry::dataset::AnyDataset;
 use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::files::FolderLock;
 use harness_shared::memory;
-use harness_shared::turns::{Turn, Turns};
 use harness_spec::{Division, Experiment, RunSpec, Task, Trained};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -1,7 +1,7 @@
 //! What the simulator itself predicts: an upper bound for any model that knows as much of the state.
 
 use super::{ExperimentError, Source};
-use harness_dataset::{AnyDataset, Dataset};
+use harness_registry::dataset::{AnyDataset, Dataset};
 use harness_samples::{Sample, Samples};
 use harness_shared::progress::Progress;
 use harness_simulation::{Knowledge, Scene, SimulatedOn, simulate_on};

@@ -1,6 +1,6 @@
 //! What worlds are like now, for the registry, which does not simulate.
 
-use harness_collection::dataset_of;
+use crate::collection::dataset_of;
 use harness_registry::{Registry, WorldOf};
 use harness_simulation::Scene;
 use harness_spec::{Simulation, World};

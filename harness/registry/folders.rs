@@ -3,7 +3,7 @@
 use super::mark::Mark;
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, RunFolder, Status};
-use harness_dataset::WorldVersion;
+use crate::dataset::WorldVersion;
 use harness_shared::files::{FolderLock, folders, sorted};
 use rayon::prelude::*;
 use std::collections::HashMap;

@@ -16,6 +16,7 @@ mod claimed;
 mod columns;
 mod command_line;
 mod commands;
+pub mod dataset;
 mod error;
 mod folders;
 mod live;
@@ -25,6 +26,7 @@ mod names;
 mod own_metric;
 mod provenance;
 mod record;
+pub mod transfer;
 mod verify;
 mod worlds;
 
@@ -144,7 +146,7 @@ impl Registry {
 
     /// The file of the compiled model that a simulated dataset has, as MJCF. Datasets of earlier versions lack it.
     pub fn model(&self, dataset: &str) -> PathBuf {
-        self.datasets().join(dataset).join(harness_dataset::MODEL)
+        self.datasets().join(dataset).join(crate::dataset::MODEL)
     }
 
     /// The folder that contains all runs.

@@ -1,6 +1,6 @@
 //! Provenance of results: source tree, versions, machine, command.
 
-use harness_dataset::WorldVersion;
+use crate::dataset::WorldVersion;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::process::Command;

@@ -2,7 +2,7 @@
 
 use super::command_line::command_of;
 use super::{Provenance, REVISION, RegistryError, RunFolder, SPEC, identity};
-use harness_dataset::WorldVersion;
+use crate::dataset::WorldVersion;
 use harness_judge::{FrameRow, Judged, MetricRow, PredictionRow, SumRow, is_usual, models};
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;

@@ -4,7 +4,7 @@ use super::commands::{Again, Commands};
 use super::folders::Recorded;
 use super::record::{RunRecord, episodes_used};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
-use harness_dataset::{Inspection, inspect, is_lock};
+use crate::dataset::{Inspection, inspect, is_lock};
 use harness_shared::files::{FolderLock, UNFINISHED, folders, sorted};
 use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;

@@ -1,7 +1,7 @@
 //! Which version of each world counts. Results of a world before and after a change are never averaged.
 
 use super::{Recorded, Registry, RunRecord, Status, WorldOf};
-use harness_dataset::WorldVersion;
+use crate::dataset::WorldVersion;
 use harness_shared::numbers::counted;
 use harness_spec::Simulation;
 use std::cmp::Reverse;

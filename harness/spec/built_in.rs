@@ -2,7 +2,7 @@
 
 use super::error::SpecError;
 use super::text::read_text;
-use harness_yaml::not_known;
+use crate::yaml::not_known;
 use std::borrow::Cow;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

@@ -1,6 +1,6 @@
 //! What is wrong with the sensors that a network gets its inputs from.
 
-use harness_layout::{Definition, Modality};
+use crate::layout::{Definition, Modality};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -1,6 +1,6 @@
 //! Errors in a spec, and their messages.
 
-use harness_yaml::{Place, Problem};
+use crate::yaml::{Place, Problem};
 
 /// Why a spec was refused. The message says in one line what is wrong, where, and what is allowed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

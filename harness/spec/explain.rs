@@ -4,7 +4,7 @@ use super::cells::DATASET_SEED;
 use super::outputs::written_key;
 use super::vary::FOLD;
 use super::{Experiment, Purpose, SPECS, SpecError, Variants, WorldFiles, find, load_tree, resolve};
-use harness_yaml::{Node, Place, Value, join};
+use crate::yaml::{Node, Place, Value, join};
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -4,7 +4,7 @@ use super::built_in::{SPECS, YamlFile, beside};
 use super::origin::Origin;
 use super::schema::EXTENDS;
 use super::vary::VARY;
-use harness_yaml::{Node, Place, Problem, Value, parse};
+use crate::yaml::{Node, Place, Problem, Value, parse};
 use std::path::Path;
 use std::sync::Arc;
 

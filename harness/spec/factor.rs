@@ -1,7 +1,7 @@
 //! Factors of variation: properties of a model that are drawn at random for each episode, if a spec turns them on.
 
 use super::values::{ascending, globs};
-use harness_layout::{Element, names};
+use crate::layout::{Element, names};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::fmt;

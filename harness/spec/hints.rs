@@ -2,8 +2,8 @@
 
 use super::origin::Origin;
 use super::split::Division;
-use harness_layout::Modality;
-use harness_yaml::{Entry, Hints, shorten};
+use crate::layout::Modality;
+use crate::yaml::{Entry, Hints, shorten};
 use serde_json::Value as Json;
 
 /// Texts that are compared with the existing worlds and datasets later, and messages about them.

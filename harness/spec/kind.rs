@@ -1,6 +1,6 @@
 //! What a YAML file of the harness is, so that a command says it of a file of another kind.
 
-use harness_yaml::{Node, Problem};
+use crate::yaml::{Node, Problem};
 
 /// A kind of YAML file.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -14,6 +14,7 @@ mod extends;
 mod factor;
 mod hints;
 mod kind;
+mod layout;
 mod mapping;
 mod narrow;
 mod origin;
@@ -23,6 +24,7 @@ mod run;
 mod schema;
 mod search;
 mod simulation;
+mod sobol;
 mod split;
 mod stored;
 mod text;
@@ -31,13 +33,14 @@ mod validate;
 mod values;
 mod vary;
 mod world;
+mod yaml;
 
 pub use built_in::{BuiltIn, SPECS, YamlFile, find};
 pub use disturbance::{Disturbance, Disturbances};
 pub use error::SpecError;
 pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
-pub use harness_layout::{
+pub use layout::{
     CLASS_COLORS, CONTACT_PARTS, Definition, Element, Episode, GivenScaling, GivenScalings, Group,
     IMAGE_CHANNELS, Kind, Label, LabelKind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale,
     Scaling, Scalings, Segmentation, intern, is_name,
@@ -48,6 +51,7 @@ pub use run::{Model, RunSpec, Trained, label_in, model_parts, variant_parts};
 pub use schema::{is_axis, schema, schema_text, setting_names, varied_setting};
 pub use search::{Candidates, Halving, Method, Objective, Search, Trial};
 pub use simulation::{MAX_SEED, Setting, Simulation};
+pub use sobol::{SOBOL_DIMENSIONS, sobol};
 pub use split::{Division, Group as SplitGroup, Part, Split, SplitCounts, Tested};
 pub use text::read_text;
 pub use types::*;
@@ -55,13 +59,13 @@ pub use values::matching;
 pub use world::*;
 
 use cells::Combination;
-use harness_yaml::{Entry, Node, Problem, Value, parse, shorten};
 use kind::FileKind;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use vary::VARY;
+use yaml::{Entry, Node, Problem, Value, parse, shorten};
 
 /// Reads and resolves a spec: a file, or one of [`SPECS`] by its name, as [`find`] does. It applies the spec's `quick`
 /// settings if `quick` is true, and then `overrides`.

@@ -5,8 +5,8 @@ use super::kind::FileKind;
 use super::origin::Scenario;
 use super::text::read_text;
 use super::world::one_line;
-use harness_layout::{Definition, Layout, Modality};
-use harness_yaml::{
+use crate::layout::{Definition, Layout, Modality};
+use crate::yaml::{
     Entry, Hints, Node, Problem, Value, check_part, choices, is_name, no_name, parse, properties, resolve,
     shorten, unknown,
 };

@@ -5,7 +5,7 @@ use super::origin::Origin;
 use super::run::RunSpec;
 use super::schema::WITHOUT;
 use super::vary::{self, FOLD};
-use harness_yaml::parse;
+use crate::yaml::parse;
 use serde_json::{Value as Json, json};
 
 impl RunSpec {

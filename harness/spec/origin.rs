@@ -1,6 +1,6 @@
 //! The sources of samples: simulated worlds, by the names of their scenarios, and imported datasets.
 
-use harness_layout::{interned_name, is_name};
+use crate::layout::{interned_name, is_name};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! The settings of outputs. A spec has them under `outputs`, by output. A run stores them under `training`, by setting.
 
 use super::types::{Experiment, OutputSettings};
-use harness_layout::Modality;
+use crate::layout::Modality;
 use std::collections::BTreeMap;
 
 /// The settings of an output, with the keys under which training stores them.

@@ -4,7 +4,7 @@ use super::outputs::{stored_key, written_key};
 use super::schema;
 use super::text::MAX_FILE_BYTES;
 use super::vary::VARY;
-use harness_yaml::{Entry, Node, Place, Problem, Value, parse, shorten, unknown};
+use crate::yaml::{Entry, Node, Place, Problem, Value, parse, shorten, unknown};
 
 /// Key of the settings that are drawn.
 const SEARCH: &str = "search";

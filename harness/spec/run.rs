@@ -7,7 +7,7 @@ use super::split::Split;
 use super::stored::stored;
 use super::types::{Action, Family, Given, Network, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
-use harness_layout::{Layout, Modality, Scale, Scaling, Scalings};
+use crate::layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value as Json, json};

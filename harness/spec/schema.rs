@@ -6,7 +6,7 @@ use super::outputs::stored_key;
 use super::simulation::Setting;
 use super::types::Experiment;
 use super::world::World;
-use harness_yaml::{
+use crate::yaml::{
     Node, Problem, allow_single_values, check_against, check_part, choices, is_like, is_name, join,
     key_pattern, list_single, properties, property, resolve, takes_one_item, types,
 };
@@ -434,7 +434,7 @@ impl JsonSchema for Origin {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use harness_yaml::expected;
+    use crate::yaml::expected;
 
     /// A keyword that `check` overlooks would bind editors alone, so each must be one it knows.
     #[test]

@@ -1,7 +1,7 @@
 //! Searches: settings that are drawn from distributions, one combination for each trial.
 
 use super::simulation::MAX_SEED;
-use harness_shared::sobol;
+use super::sobol::sobol;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;

@@ -1,6 +1,6 @@
 //! How a dataset is divided into training, validation and test set.
 
-use harness_layout::{intern, is_name};
+use crate::layout::{intern, is_name};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;

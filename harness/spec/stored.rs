@@ -1,6 +1,6 @@
 //! Which settings the text of a run or a dataset contains.
 
-use harness_yaml::join;
+use crate::yaml::join;
 use serde_json::Value as Json;
 
 /// Sections and settings that are stored even if they have their default. They are those from before defaults were left

@@ -7,7 +7,7 @@ use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::split::Split;
 use super::world::World;
-use harness_layout::{GivenScalings, Layout, Modality, by_modality, intern, names, scalings_schema};
+use crate::layout::{GivenScalings, Layout, Modality, by_modality, intern, names, scalings_schema};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;

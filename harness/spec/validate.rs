@@ -13,8 +13,8 @@ use super::types::{
 };
 use super::vary::{ROLE, VARY};
 use super::world::World;
-use harness_layout::{Modality, Scale};
-use harness_yaml::{is_name, shorten, unknown};
+use crate::layout::{Modality, Scale};
+use crate::yaml::{is_name, shorten, unknown};
 use serde_json::{Map, Value as Json};
 use std::collections::BTreeSet;
 

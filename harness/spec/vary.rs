@@ -2,7 +2,7 @@
 
 use super::hints::HINTS;
 use super::schema::{self, EXTENDS, WITHOUT};
-use harness_yaml::{Entry, Node, Problem, Value, unknown};
+use crate::yaml::{Entry, Node, Problem, Value, unknown};
 
 /// Key of the axes in which runs differ.
 pub(super) const VARY: &str = "vary";

@@ -8,11 +8,11 @@ use super::origin::Scenario;
 use super::simulation::{self, Setting, Simulation};
 use super::text::read_text;
 use super::values::{ascending, globs, matching};
-use harness_layout::{
+use crate::layout::{
     CLASS_COLORS, CONTACT_KIND, CONTACT_PARTS, Modality, NO_CONTACT, Percentage, Region, Scale, Scaling,
     present,
 };
-use harness_yaml::{
+use crate::yaml::{
     NAME, Node, Problem, Value, allow_single_values, check_against, is_name, list_single, parse, shorten,
     unknown,
 };

@@ -3,30 +3,27 @@
 //!
 //! All text is UTF-8, except on a terminal whose locale has another encoding: there it is ASCII.
 
-use crate::encoding::encoded;
-use crate::table::fitted;
+use crate::terminal::encoding::encoded;
+use crate::terminal::table::fitted;
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 use terminal_size::terminal_size_of;
 
-/// Prints text to the standard output; see the module [`output`](crate::output).
-#[macro_export]
+/// Prints text to the standard output; see the module [`output`](crate::terminal::output).
 macro_rules! print {
-    ($($text:tt)*) => { $crate::output::out(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::terminal::output::out(format_args!($($text)*)) };
 }
 
-/// Prints a line to the standard output; see the module [`output`](crate::output).
-#[macro_export]
+/// Prints a line to the standard output; see the module [`output`](crate::terminal::output).
 macro_rules! println {
-    () => { $crate::output::out(format_args!("\n")) };
-    ($($text:tt)*) => { $crate::output::out(format_args!("{}\n", format_args!($($text)*))) };
+    () => { $crate::terminal::output::out(format_args!("\n")) };
+    ($($text:tt)*) => { $crate::terminal::output::out(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// Prints a line to the standard error; see the module [`output`](crate::output).
-#[macro_export]
+/// Prints a line to the standard error; see the module [`output`](crate::terminal::output).
 macro_rules! eprintln {
-    ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::terminal::output::tell(format_args!($($text)*)) };
 }
 
 /// The error of the last write to the standard output. Nothing is printed after it, until [`lost`] takes it.

@@ -4,8 +4,8 @@
 //! with a line for each column. If the output is no terminal, tables are as wide as their contents, so that the output
 //! of a command does not depend on where it is called.
 
-use crate::encoding::{IS_UTF8, encoded};
-use crate::latex::{escaped, line, tabular};
+use crate::terminal::encoding::{IS_UTF8, encoded};
+use crate::terminal::latex::{escaped, line, tabular};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width};
 use harness_shared::numbers::rounded;
 use polars::prelude::{AnyValue, DataFrame};

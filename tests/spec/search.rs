@@ -1,8 +1,8 @@
 //! Searches: which trials a spec expands to, how their settings are distributed, and which searches are refused.
 
 use super::{BASE, ROOT, base_with, load, load_with, refusal};
-use harness_shared::{SOBOL_DIMENSIONS, sobol};
 use harness_spec::{Candidates, Experiment, Halving, Method, Search, Task, Trial};
+use harness_spec::{SOBOL_DIMENSIONS, sobol};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,7 +1,7 @@
 //! The removal of runs and datasets.
 
-use harness_dataset::Dataset;
-use harness_registry::{Outdated, Registry, RegistryError, RunRecord, Status, WorldOf};
+use crate::dataset::Dataset;
+use crate::{Outdated, Registry, RegistryError, RunRecord, Status, WorldOf};
 use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, abandoned, folders, remove_abandoned};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};

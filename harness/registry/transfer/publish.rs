@@ -1,7 +1,7 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
 use super::{Busy, Removable, remove};
-use harness_registry::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network};
+use crate::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network};
 use harness_shared::progress::Progress;
 use harness_tables::TableError;
 use harness_tables::schema::Table;

@@ -1,6 +1,6 @@
 //! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
-use harness_registry::{path_word, quoted};
+use harness::registry::{path_word, quoted};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;

@@ -17,7 +17,6 @@ pub fn intern(name: &str) -> &'static str {
 
 /// Implements the text, the order, `Display` and serde for a type that wraps an interned name. The names in `$first`
 /// come first, and all others follow in alphabetical order.
-#[macro_export]
 macro_rules! interned_name {
     ($type:ident, first: $first:ident, refused: $refused:literal) => {
         impl $type {
@@ -71,7 +70,6 @@ macro_rules! interned_name {
 }
 
 /// Implements the list of values and their names for an enum. A test checks that the names equal those of serde.
-#[macro_export]
 macro_rules! names {
     ($type:ident { $($variant:ident => $name:literal),+ $(,)? }) => {
         impl $type {
@@ -91,3 +89,5 @@ macro_rules! names {
         }
     };
 }
+
+pub(crate) use {interned_name, names};

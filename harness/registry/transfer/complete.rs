@@ -1,8 +1,8 @@
 //! Complete copies: runs with all their files, and the datasets that they used, in another results folder.
 
 use super::{Busy, PublishError};
-use harness_dataset::{Dataset, MODEL, inspect};
-use harness_registry::{RECORD, Recorded, Registry, RegistryError, Status, UNCOMMITTED};
+use crate::dataset::{Dataset, MODEL, inspect};
+use crate::{RECORD, Recorded, Registry, RegistryError, Status, UNCOMMITTED};
 use harness_shared::files::{FolderLock, write_bytes};
 use harness_shared::progress::Progress;
 use std::collections::BTreeMap;

@@ -5,8 +5,9 @@ mod modality;
 mod name;
 mod scaling;
 
+pub use crate::yaml::is_name;
 pub use episode::{Episode, Pose};
-pub use harness_yaml::is_name;
 pub use modality::*;
 pub use name::intern;
+pub(crate) use name::{interned_name, names};
 pub use scaling::{GivenScaling, GivenScalings, Scaling, Scalings, present, scalings_schema};

@@ -1,9 +1,9 @@
 //! Simulates the missing episodes of a dataset in parallel.
 
-use harness_dataset::{CompiledModel, Dataset, DatasetError};
+use crate::shard::Shard;
+use harness_registry::dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
 use harness_shared::progress::Progress;
-use harness_shared::shard::Shard;
 use harness_simulation::{Scene, SimulationError, Simulator, mujoco_version, refuse_policy, rendering};
 use harness_spec::Simulation;
 use std::ops::ControlFlow;

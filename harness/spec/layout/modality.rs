@@ -1,7 +1,7 @@
 //! Modalities: their names, which specs and tables use, and their definitions, which a dataset stores.
 
 use super::{intern, interned_name, names};
-use harness_yaml::NAME;
+use crate::yaml::NAME;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::ops::Index;
@@ -413,7 +413,7 @@ impl Layout {
     /// stored have it as well.
     pub fn finger() -> Arc<Self> {
         static FINGER: LazyLock<Arc<Layout>> = LazyLock::new(|| {
-            let text = include_str!("../../models/finger.json");
+            let text = include_str!("../../../models/finger.json");
             Arc::new(serde_json::from_str(text).expect("a test reads models/finger.json"))
         });
         FINGER.clone()
