@@ -56,25 +56,25 @@ pub fn schema() -> Json {
     schema
 }
 
-/// Returns the text of a schema, in which each reference takes one line.
+/// Returns the text of a schema, in which a reference, and a list of what a reference describes, take one line.
 pub fn schema_text(schema: &Json) -> String {
-    let pretty = serde_json::to_string_pretty(schema).expect("a schema is plain data");
-    let lines: Vec<&str> = pretty.lines().collect();
-    let (mut text, mut next) = (String::new(), 0);
-    while let Some(line) = lines.get(next) {
-        text += line;
-        next += 1;
-        if let [reference, end, ..] = &lines[next..]
-            && line.ends_with('{')
-            && reference.trim_start().starts_with("\"$ref\"")
-            && end.trim_start().starts_with('}')
+    const SHORT: [&str; 2] = ["\"$ref\": ", "\"items\": { \"$ref\": "];
+    let mut lines = Vec::<String>::new();
+    for line in serde_json::to_string_pretty(schema).expect("a schema is plain data").lines() {
+        let end = line.trim_start();
+        if let [.., start, only] = &lines[..]
+            && end.starts_with('}')
+            && start.ends_with('{')
+            && SHORT.iter().any(|short| only.trim_start().starts_with(short))
         {
-            text += &format!(" {} {}", reference.trim_start(), end.trim_start());
-            next += 2;
+            let joined = format!("{start} {} {end}", only.trim_start());
+            lines.truncate(lines.len() - 2);
+            lines.push(joined);
+        } else {
+            lines.push(line.to_owned());
         }
-        text.push('\n');
     }
-    text
+    lines.join("\n") + "\n"
 }
 
 /// Adds the keys that a spec no longer has when it is checked. What it extends may have the keys that it needs.
