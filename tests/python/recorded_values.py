@@ -47,9 +47,13 @@ KINDS = {
 PLACE = {"dataset", "scenario", "episode", "sample"}
 
 # How much a value may differ, relative to values above 1. MuJoCo is the same library, and values are recorded as 32-bit
-# floats. Renderers round colors differently.
+# floats.
 TOLERANCE = 1e-6
+# Renderers round colors differently.
 COLOR_TOLERANCE = 1
+# A recorded depth is rounded to a color, and the computed one is not: in the middle between two colors, a difference
+# of less than 1e-3 of a color, as 32-bit depths have, decides which of them is recorded.
+DEPTH_TOLERANCE = 0.5 + 1e-3
 
 
 def name_of(model, kind, index):
@@ -321,12 +325,12 @@ CLASSES = np.array(
 
 
 def depths(renderer, seen, low, high):
-    """An image of the depths from `low` to `high`, where something is seen."""
+    """An image of the depths from `low` to `high`, where something is seen. Its colors are not rounded."""
     renderer.enable_depth_rendering()
     found = renderer.render()
     renderer.disable_depth_rendering()
     red, green = (found - low) / (high - low), low / found
-    image = np.rint(255 * np.clip(np.stack([red, green, np.ones_like(found)], axis=2), 0, 1)).astype(np.uint8)
+    image = 255 * np.clip(np.stack([red, green, np.ones_like(found)], axis=2), 0, 1)
     image[~seen] = [255, 0, 0]
     return image
 
@@ -569,8 +573,8 @@ def varied(model, factors, drawn):
 class Comparison:
     """The recorded and the computed values of one modality in all episodes."""
 
-    def __init__(self, source, tolerance):
-        self.source, self.tolerance = source, tolerance
+    def __init__(self, source, tolerance, color_tolerance=COLOR_TOLERANCE):
+        self.source, self.tolerance, self.color_tolerance = source, tolerance, color_tolerance
         self.recorded, self.computed = [], []
 
     def add(self, recorded, computed):
@@ -584,7 +588,7 @@ class Comparison:
             return f"{name}: {recorded.shape} values instead of {computed.shape}", False
         difference = np.abs(recorded.astype(float) - computed)
         if self.tolerance is None:
-            allowed = COLOR_TOLERANCE
+            allowed = self.color_tolerance
         else:
             difference /= np.maximum(1.0, np.abs(computed))
             allowed = self.tolerance
@@ -630,7 +634,7 @@ def compare(folder):
     for name, sensing in world["modalities"].items():
         if "size" in sensing:
             source, cameras[name] = viewer(model, sensing)
-            compared[name] = Comparison(source, None)
+            compared[name] = Comparison(source, None, DEPTH_TOLERANCE if source == "depth" else COLOR_TOLERANCE)
         elif "difference_of" not in sensing:  # not recorded: samples are subtracted when they are read
             source, ends, read = reader(model, sensing)
             is_mean = "average_over" in sensing
