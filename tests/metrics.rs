@@ -7,7 +7,7 @@ use harness_metrics::parts::{class_of, in_either, region_of};
 use harness_metrics::series::value;
 use harness_metrics::{
     Direction, Ensemble, Evaluation, ForceEvaluation, Forces, Members, Metric, MetricsError, Points, Row,
-    Series, evaluate,
+    Series, evaluate, latent,
 };
 use harness_spec::{Definition, Element, Layout, Modality};
 use rand::seq::SliceRandom;
@@ -25,6 +25,16 @@ const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 fn of_finger(modality: Modality) -> Definition {
     Layout::finger()[modality].clone()
+}
+
+#[test]
+fn a_dimension_of_the_latent_state_is_active_above_a_hundredth_of_a_nat() {
+    let rows = latent::rows(&[0.009, 0.011, 0.5]);
+    let found = rows.iter().map(|row| (row.metric, row.index, row.value.unwrap()));
+    let each = [0.009, 0.011, 0.5].into_iter().enumerate();
+    let each = each.map(|(index, nats)| (Metric::Kl, Some(index as u32), nats));
+    let expected = [(Metric::Kl, None, 0.52), (Metric::Active, None, 2.0)].into_iter().chain(each);
+    assert_eq!(found.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
 }
 
 macro_rules! formulas {

@@ -107,6 +107,30 @@ pub(super) fn loss_and_score<T>(
 }
 
 #[test]
+fn the_divergences_of_many_windows_are_the_mean_over_all_batches() {
+    for memory in MEMORIES {
+        let (bench, network, _) = bench(memory, Family::None);
+        let window = WINDOW;
+        let trained = trained(&bench.data, network, &window);
+        let at: Vec<Sample> =
+            bench.partition.test.iter().copied().cycle().take(harness_judge::BATCH + 40).collect();
+        let of = |at: &[Sample]| trained.divergences(at).unwrap();
+        let (all, few, rest) = (of(&at), of(&at[..7]), of(&at[7..]));
+        let expected = few
+            .iter()
+            .zip(&rest)
+            .map(|(few, rest)| (7.0 * few + (at.len() - 7) as f64 * rest) / at.len() as f64);
+        assert!(!all.is_empty(), "{memory:?}");
+        for (found, expected) in all.iter().zip(expected) {
+            assert!(
+                (found - expected).abs() < 1e-6 * expected.abs().max(1.0),
+                "{memory:?}: {found} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_network_whose_output_is_zero_predicts_what_persistence_does() {
     for (memory, family) in MEMORIES.into_iter().flat_map(|memory| FAMILIES.map(|family| (memory, family))) {
         let (bench, network, parameters) = bench(memory, family);
