@@ -150,4 +150,9 @@ fn a_file_system_that_refuses_locks_is_named_before_anything_is_done() {
     let output = without_locks(libc::ENOLCK, &results, &[&["judge", SMOKE, "simulator"][..], &of].concat());
     assert!(String::from_utf8(output.stderr).unwrap().contains("refuses locks"));
     assert!(!results.join("runs").exists());
+    // A folder that is there is locked before it is removed.
+    let output = without_locks(libc::ENOLCK, &results, &["gc", "--only", "unused", "--yes"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(1) && said.contains("refuses locks"), "{said}");
+    assert_eq!(std::fs::read_dir(results.join("datasets")).unwrap().count(), 1);
 }
