@@ -195,6 +195,32 @@ fn metrics_are_those_of_scikit_learn_on_written_predictions() {
     assert!(one("reconstruction", "proprioception", "r2"));
 }
 
+/// Names of runs contain `=`, which readers take for columns.
+#[test]
+fn the_documented_query_of_duckdb_adds_no_column_for_the_names_of_folders() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let page = std::fs::read_to_string(root.join("docs/tables.md")).unwrap();
+    let line = page.lines().find(|line| line.contains("duckdb.sql(\"select * from read_parquet(")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let run = std::fs::read_dir(RESULTS.join("runs/smoke")).unwrap().next().unwrap().unwrap().path();
+    for name in ["empty-z4-change=a-seed0-00000000", "empty-z4-change=b-seed0-11111111"] {
+        let copy = folder.path().join("results/runs/smoke").join(name);
+        std::fs::create_dir_all(&copy).unwrap();
+        std::fs::copy(run.join("metrics.parquet"), copy.join("metrics.parquet")).unwrap();
+    }
+    let columns = |line: &str| {
+        let script = format!("import duckdb\n{line}\nprint(' '.join(metrics.columns))");
+        let python =
+            Command::new(root.join(".venv/bin/python")).args(["-c", &script]).current_dir(&folder).output();
+        let names = String::from_utf8(python.unwrap().stdout).unwrap();
+        names.split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let documented = columns(line);
+    assert!(documented.contains(&"metric".to_owned()), "{documented:?}");
+    let guessed = columns(&line.replace(", hive_partitioning=false", ""));
+    assert_eq!(guessed, [&documented[..], &["empty-z4-change".to_owned()]].concat());
+}
+
 #[test]
 fn an_answer_written_to_a_file_opens_elsewhere_too() {
     let folder = tempfile::tempdir().unwrap();
