@@ -73,7 +73,7 @@ fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
 }
 
 /// The JSON data that the page's script draws.
-fn data(page: &str) -> Value {
+pub fn data(page: &str) -> Value {
     serde_json::from_str(between(page, "<script type=\"application/json\" id=\"data\">", "</script>"))
         .unwrap()
 }

@@ -2,6 +2,7 @@
 
 use crate::common::{Answer, ask, finish, fresh, harness, succeed};
 use crate::horizons::served;
+use crate::report::data;
 use crate::suggestions::shell_in;
 use std::collections::BTreeSet;
 use std::fs;
@@ -161,6 +162,11 @@ fn one_version_of_a_world_counts_in_every_reader() {
     assert_eq!(plotted.lines().count(), 2, "{plotted}");
     two.say(&["publish", "rod", "--output", &path("published")]);
     assert_eq!(fs::read_dir(path("published/runs/rod")).unwrap().count(), 1);
+    two.say(&["report", "--output", &path("page.html")]);
+    let page = data(&fs::read_to_string(path("page.html")).unwrap());
+    let latest = ask(&two.results, "select run from runs order by started desc limit 1");
+    let curves = page["training"].as_array().unwrap();
+    assert!(curves.len() == 1 && curves[0]["run"] == latest[0]["run"], "{curves:?}");
 
     // SQL sees all runs, with a note unless the query tells the versions apart.
     let count = |sql: &str| two.say(&["query", sql, "--format", "csv"]);
@@ -230,9 +236,12 @@ fn diff_says_what_differs_in_the_world() {
     let words = |text: &str| line(text).split_whitespace().map(str::to_owned).collect::<Vec<_>>();
     assert_eq!(words("geom 'wall' pos"), ["geom", "'wall'", "pos", "0.3", "0", "0.2", "0.25", "0", "0.2"]);
     assert_eq!(words("simulation.episodes"), ["simulation.episodes", "4", "8"]);
-    assert!(!said.contains("ridge") && said.lines().count() < 25, "{said}");
+    assert!(!said.contains("ridge") && !said.contains("world.") && said.lines().count() < 25, "{said}");
     let full = two.say(&["diff", old, new, "--all"]).stdout;
-    assert!(full.contains("ridge") && full.lines().count() > said.lines().count(), "{full}");
+    assert!(
+        full.contains("ridge") && full.contains("world.") && full.lines().count() > said.lines().count(),
+        "{full}"
+    );
 
     // Datasets of earlier versions lack the model.
     let model =
@@ -245,9 +254,14 @@ fn diff_says_what_differs_in_the_world() {
 
     // The content of a mesh is no text of the MJCF.
     fs::write(two.world.path().join("tip.obj"), MESH.replace("0 0 .03", "0 0 .04")).unwrap();
+    let text = fs::read_to_string(two.world.path().join("rod.xml")).unwrap();
+    let sites: String = (0..15).map(|number| format!("<site name=\"s{number}\"/>")).collect();
+    fs::write(two.world.path().join("rod.xml"), text.replace("<light ", &format!("{sites}<light "))).unwrap();
     two.say(&["run", two.world.path().join("spec.yaml").to_str().unwrap(), "seeds=[5]"]);
     let latest = runs("select run from runs where seed = 5").remove(0);
     let said = two.say(&["diff", new, &latest]).stdout;
     assert!(said.contains("sha256 of mesh tip") && !said.contains("'wall'"), "{said}");
+    assert!(said.contains(" parts more differ in the world; --all prints them"), "{said}");
+    assert!(!two.say(&["diff", new, &latest, "--all"]).stdout.contains("--all prints"));
     two.say(&["verify"]);
 }
