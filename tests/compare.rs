@@ -857,6 +857,9 @@ fn what_does_not_change_in_the_test_samples_is_named() {
     let is = "contact_force is 0 in all test samples, so its r2 ";
     let collected = finish(&mut harness(&results, &["collect", &path("spec.yaml")]));
     assert!(collected.code == 0 && plain(&collected.stderr).contains(is), "{}", collected.stderr);
+    let moving = ["collect", &path("spec.yaml"), "output=[joints]", "simulation.seed=1"];
+    let collected = finish(&mut harness(&results, &moving));
+    assert!(collected.code == 0 && !collected.stderr.contains("in all "), "{}", collected.stderr);
     let run = finish(&mut harness(&results, &["run", &path("spec.yaml")]));
     assert!(run.code == 0 && plain(&run.stderr).contains(is), "{}", run.stderr);
     assert!(plain(&run.stdout).contains("so its r2 and wmape are not defined"), "{}", run.stdout);
