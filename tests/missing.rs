@@ -1,6 +1,6 @@
 //! Tests of trained networks with some of their inputs or with disturbed ones, from the spec to tables and plots.
 
-use crate::common::{SMOKE, ask, fresh, succeed};
+use crate::common::{SMOKE, ask, finish, fresh, harness, succeed};
 use std::collections::BTreeMap;
 
 const RUN: [&str; 8] = [
@@ -115,4 +115,77 @@ fn a_network_is_trained_and_tested_with_disturbed_inputs() {
         &["compare", "clean", "noisy", "--by=inputs.arm.noise", "--metrics=rmse", "--models=network"],
     );
     assert!(table.contains("arm.noise=0\n") && table.contains("arm.noise=0.5"), "{table}");
+}
+
+/// A slider that is driven, with its position under two names and its velocity.
+const SLIDER: [(&str, &str); 2] = [
+    (
+        "slider.xml",
+        r#"<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" damping="1"/><geom size=".1"/></body>
+  </worldbody><actuator><position name="push" joint="x" kp="20" dampratio="1" ctrlrange="-1 1"/></actuator></mujoco>"#,
+    ),
+    (
+        "slider.yaml",
+        "model: slider.xml\nstep_rate_hz: 500\nsample_rate_hz: 10\nmodalities:\n  place: {joint_positions: x}\n  \
+         again: {joint_positions: x}\n  speed: {joint_velocities: x}\naction: {seconds: 1, actuators: {push: \
+         {actuator: push, range: [-1, 1]}}}\n",
+    ),
+];
+
+#[test]
+fn a_latent_state_is_probed_for_what_is_not_its_input() {
+    let (results, folder) = (fresh("probes"), tempfile::tempdir().unwrap());
+    for (name, text) in SLIDER {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    let world = format!("scenarios=[{}]", folder.path().join("slider.yaml").display());
+    let of = ["input=[place]", "output=[place]", "simulation.episodes=40", "training.epochs=40", "latent=2"];
+    let run = |more: &[&str]| succeed(&results, &[&["run", SMOKE, &world], &of[..], more].concat());
+    run(&["name=without"]);
+    run(&["probes=[again, speed, place]"]);
+    let r2 = |experiment: &str, task: &str| -> BTreeMap<(String, String), f64> {
+        let sql = format!(
+            "select model, modality, value from metrics where experiment = '{experiment}' and task = '{task}'
+             and metric = 'r2' and \"index\" is null"
+        );
+        let text = |row: &serde_json::Value, name: &str| row[name].as_str().unwrap().to_owned();
+        let value =
+            |row: &serde_json::Value| ((text(row, "model"), text(row, "modality")), row["value"].as_f64());
+        ask(&results, &sql).iter().map(value).map(|(key, value)| (key, value.unwrap())).collect()
+    };
+    assert_eq!(r2("smoke", "prediction"), r2("without", "prediction"));
+    let found = r2("smoke", "reconstruction");
+    let of = |model: &str, modality: &str| found[&(model.to_owned(), modality.to_owned())];
+    // A regression recovers what is linear in the input. The place does not tell the speed.
+    assert!(of("ridge", "again") > 0.999 && of("nearest_neighbors", "again") > 0.99, "{found:?}");
+    assert!(of("network", "again") > 0.9 && of("network", "speed") < 0.6, "{found:?}");
+    assert_eq!(of("network", "again") > 0.9, of("network", "place") > 0.9);
+    for model in ["ridge", "nearest_neighbors", "untrained"] {
+        // What is reconstructed of the input has no such baselines.
+        assert!(!found.contains_key(&(model.to_owned(), "place".to_owned())), "{found:?}");
+        assert!(found.contains_key(&(model.to_owned(), "speed".to_owned())), "{found:?}");
+    }
+    // Tables show the untrained encoder in a column of its own, and `show` means the network.
+    let compared = succeed(&results, &["compare", "smoke", "--task", "reconstruction", "--metrics", "r2"]);
+    let header = compared.lines().next().unwrap();
+    assert!(header.contains("untrained") && header.contains("nearest neighbors"), "{compared}");
+    let own = format!("{:.3}", of("network", "speed"));
+    assert!(succeed(&results, &["show", "smoke/"]).contains(&own), "{own}");
+}
+
+#[test]
+fn probes_that_no_run_can_have_are_refused() {
+    let results = fresh("probes_refused");
+    let refused = |more: &[&str]| {
+        let answer = finish(&mut harness(&results, &[&["run", SMOKE][..], more].concat()));
+        assert_eq!(answer.code, 2);
+        answer.stderr
+    };
+    let unknown = refused(&["probes=[proprioceptoin]"]);
+    assert!(
+        unknown.contains("unknown modality 'proprioceptoin' in 'probes'; did you mean 'proprioception'?"),
+        "{unknown}"
+    );
+    let without = refused(&["probes=[arm]", "tasks=[prediction]"]);
+    assert!(without.contains("add reconstruction to 'tasks'"), "{without}");
 }

@@ -90,6 +90,7 @@ fn what_is_left_out_gets_its_default() {
         split: Split::default(),
         test: None,
         given: Vec::new(),
+        probes: Vec::new(),
         scaling: Default::default(),
         training: Training {
             loss_weights: [(Modality::PROPRIOCEPTION, 1.0), (Modality::CONTACT_FORCE, 1.0)].into(),
@@ -320,7 +321,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "seed: 1\n",
             "spec.yaml:7:1: unknown key 'seed'; did you mean 'seeds'? Allowed: name, description, scenarios, \
              input, output, outputs, latent, seeds, tasks, action, window, network, simulation, split, test, inputs, \
-             given, scaling, training, vary, search, readings, quick",
+             given, probes, scaling, training, vary, search, readings, quick",
         ),
     ]);
 }
@@ -1956,6 +1957,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
         split: random_split(random),
         test: None,
         given: one.iter().map(|one| spec::Given::Inputs(vec![*one])).collect(),
+        probes: Vec::new(),
         scaling: Modality::BUILT_IN
             .iter()
             .map(|&modality| (modality, random_scaling(modality, random)))

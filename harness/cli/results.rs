@@ -60,7 +60,8 @@ pub enum Metrics {
 /// Metrics of the runs in question and of the baselines, averaged over seeds.
 pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecord) -> bool) -> Result<Sheet> {
     let of_baseline = |model: &str| format!("avg(case when model = '{model}' then value end) as {model}");
-    let own = format!("avg(case when model not in ({}) then value end) as own", models::baselines_in_sql());
+    let others = format!("{}, '{}'", models::baselines_in_sql(), models::UNTRAINED);
+    let own = format!("avg(case when model not in ({others}) then value end) as own");
     let means: Vec<String> = std::iter::once(own).chain(models::BASELINES.map(of_baseline)).collect();
     let chosen = match metrics {
         Metrics::Main => format!(

@@ -44,8 +44,8 @@ pub fn references(open: &OpenData, spec: &RunSpec) -> Result<References, JudgeEr
 /// Judges all baselines on the test windows: persistence, the training mean and, for vectors, ridge regression on the
 /// network's input and the actions. Adds their rows.
 ///
-/// A reconstruction has only the training mean, because persistence would be its target. So it would be of an estimate
-/// of the present sample, whose vectors have the mean of the nearest neighbors instead.
+/// A reconstruction of the input has only the training mean, because persistence would be its target. So it would be of
+/// an estimate of the present sample. Its vectors, and those of probes, have the mean of the nearest neighbors instead.
 ///
 /// # Errors
 /// When a value of the dataset is not finite.
@@ -64,9 +64,10 @@ fn baselines(
         judged.sums.extend(sums);
         Ok::<_, JudgeError>(())
     };
+    let reconstructed = spec.reconstructed();
     let (output, horizons) = match task {
         Task::Prediction => (&spec.output, spec.window.horizons()),
-        Task::Reconstruction => (&spec.input, vec![0]),
+        Task::Reconstruction => (&reconstructed, vec![0]),
     };
     // Each modality has its own predictor, so that the means of few images are in memory.
     for modality in output.iter().copied() {
@@ -77,9 +78,9 @@ fn baselines(
             add(&Persistence { samples, modality, horizons: &horizons })?;
         }
     }
+    let (sensed, normalizers) = (&**data.sensed(), &*data.normalizers);
+    let given = Given { samples, sensed, normalizers, action: data.action, input: &spec.input };
     if task == Task::Prediction {
-        let (sensed, normalizers) = (&**data.sensed(), &*data.normalizers);
-        let given = Given { samples, sensed, normalizers, action: data.action, input: &spec.input };
         for &horizon in &horizons {
             if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
                 add(&ridge)?;
@@ -88,6 +89,14 @@ fn baselines(
         if spec.window.horizon == 0
             && let Some(nearest) = NearestNeighbors::fit(given, &partition.training, output)?
         {
+            add(&nearest)?;
+        }
+    } else {
+        // A probe is not part of the input, so that both are estimates.
+        if let Some(ridge) = Ridge::fit(given, &partition.training, &spec.probes, 0)? {
+            add(&ridge)?;
+        }
+        if let Some(nearest) = NearestNeighbors::fit(given, &partition.training, &spec.probes)? {
             add(&nearest)?;
         }
     }

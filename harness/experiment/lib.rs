@@ -27,10 +27,10 @@ pub use worlds::results;
 use crate::collection::{CollectionError, collect, collect_together, dataset_of};
 use crate::shard::Shard;
 use evaluate::References;
-use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge};
+use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge, models};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
-use harness_learning::network::{Architecture, Network, Parameters, Score, architecture};
+use harness_learning::network::{Architecture, Decoder, Network, Parameters, Score, architecture};
 use harness_learning::objective::{Objective, Prediction, Reconstruction};
 use harness_learning::predict::{Latents, TrainedDecoder, TrainedNetwork};
 use harness_learning::random::{Random, Stream};
@@ -295,7 +295,8 @@ impl Planned {
         fn key(planned: &Planned) -> impl PartialEq {
             let spec = &planned.spec;
             let data = (&spec.scenario, &spec.simulation, &spec.split, &spec.test, &spec.window);
-            let form = (&spec.input, &spec.inputs, &spec.output, &spec.tasks, spec.action, &spec.scaling);
+            let output = (&spec.output, &spec.probes);
+            let form = (&spec.input, &spec.inputs, output, &spec.tasks, spec.action, &spec.scaling);
             (data, form, device(spec))
         }
         key(self) == key(other)
@@ -648,22 +649,21 @@ impl TrainingRun<'_> {
         let (spec, data) = (self.spec, &self.data);
         let begin = Instant::now();
         let task = Task::Reconstruction;
+        let output = spec.reconstructed();
         let mut parameters = Parameters::new();
-        let mut random = Random::new(spec.seed, Stream::Parameters(task));
         let latents = Latents::of(network, data, &spec.input, &spec.window).map_err(LearningError::from)?;
         let architecture = architecture(spec, self.trained, data.samples.layout(), task);
-        let decoder = architecture.decoder(&mut parameters, &mut random, &data.device);
-        let objective = Reconstruction {
-            data,
-            latents: &latents,
-            decoder: decoder.map_err(LearningError::from)?,
-            input: &spec.input,
-        };
+        let decoder = self.new_decoder(&architecture, &mut parameters)?;
+        let objective = Reconstruction { data, latents: &latents, decoder, output: &output };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         let decoder = objective.decoder.detached();
-        let trained = TrainedDecoder { data, latents: &latents, decoder, output: &spec.input };
-        self.judge(task, &trained, outcome)?;
+        let name = models::NETWORK;
+        self.judge(
+            task,
+            &TrainedDecoder { name, data, latents: &latents, decoder, output: &output },
+            outcome,
+        )?;
         for data in self.tests() {
             let data = data?;
             let begin = Instant::now();
@@ -671,10 +671,59 @@ impl TrainingRun<'_> {
             let latents = latents.map_err(LearningError::from)?;
             outcome.timings.evaluation += begin.elapsed().as_secs_f64();
             let decoder = objective.decoder.detached();
-            let trained = TrainedDecoder { data: &data, latents: &latents, decoder, output: &spec.input };
+            let trained = TrainedDecoder { name, data: &data, latents: &latents, decoder, output: &output };
             self.judge(task, &trained, outcome)?;
         }
-        Ok(())
+        if spec.probes.is_empty() { Ok(()) } else { self.probe_untrained(&architecture, outcome) }
+    }
+
+    /// Trains and evaluates the decoder of the reconstruction on the latent states of an encoder that is not trained:
+    /// what it tells of the probes is not learned from the prediction.
+    fn probe_untrained(&self, decoding: &Architecture, outcome: &mut Outcome) -> Result<(), ExperimentError> {
+        let (spec, data, task) = (self.spec, &self.data, Task::Reconstruction);
+        let encoding = architecture(spec, self.trained, data.samples.layout(), Task::Prediction);
+        let mut random = Random::new(spec.seed, Stream::Untrained);
+        let network =
+            encoding.scaled(&data.normalizers).network(&mut Parameters::new(), &mut random, &data.device);
+        let network = network.map_err(LearningError::from)?;
+        let latents = Latents::of(&*network, data, &spec.input, &spec.window).map_err(LearningError::from)?;
+        let mut parameters = Parameters::new();
+        let decoder = self.new_decoder(decoding, &mut parameters)?;
+        let output = spec.reconstructed();
+        let objective = Reconstruction { data, latents: &latents, decoder, output: &output };
+        self.fit(task, &StateFile::none(), &|_| ()).run(&objective, &parameters)?;
+        let (name, decoder) = (models::UNTRAINED, objective.decoder.detached());
+        let trained = TrainedDecoder { name, data, latents: &latents, decoder, output: &spec.probes };
+        self.judge(task, &trained, outcome)
+    }
+
+    /// Returns the decoder of the reconstruction with its initial parameters.
+    fn new_decoder(
+        &self,
+        architecture: &Architecture,
+        parameters: &mut Parameters,
+    ) -> Result<Box<dyn Decoder>, ExperimentError> {
+        let mut random = Random::new(self.spec.seed, Stream::Parameters(Task::Reconstruction));
+        let decoder = architecture.decoder(parameters, &mut random, &self.data.device);
+        Ok(decoder.map_err(LearningError::from)?)
+    }
+
+    /// Returns a training for a task.
+    fn fit<'b>(
+        &'b self,
+        task: Task,
+        state: &'b StateFile,
+        log: &'b dyn Fn(&[learning::training::Epoch]),
+    ) -> Fit<'b> {
+        Fit {
+            task,
+            training: &self.trained.training,
+            seed: self.spec.seed,
+            partition: &self.prepared.open.partition,
+            state,
+            progress: self.progress,
+            log,
+        }
     }
 
     /// Trains `parameters` on an objective and saves them. Adds the losses to the outcome.
@@ -686,15 +735,9 @@ impl TrainingRun<'_> {
         parameters: &Parameters,
         outcome: &mut Outcome,
     ) -> Result<(), ExperimentError> {
-        let fit = Fit {
-            task,
-            training: &self.trained.training,
-            seed: self.spec.seed,
-            partition: &self.prepared.open.partition,
-            state: &StateFile::at(self.claimed.state(task)),
-            progress: self.progress,
-            log: &|epochs| self.epochs.set(task, epochs),
-        };
+        let state = StateFile::at(self.claimed.state(task));
+        let log = |epochs: &[learning::training::Epoch]| self.epochs.set(task, epochs);
+        let fit = self.fit(task, &state, &log);
         let epochs = fit.run(objective, parameters)?;
         fit.recalibrate(objective, parameters, architecture).map_err(LearningError::from)?;
         let NormalizedData { normalizers, action, .. } = &self.data;

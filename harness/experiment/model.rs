@@ -198,7 +198,7 @@ impl Model {
         let reconstructed = || -> candle_core::Result<_> {
             let latent = Tensor::from_vec(latent, (batch, self.latent), &Device::Cpu)?;
             let decoded = decoder.decode(&latent, None)?;
-            predict::denormalized(&self.normalizers, &spec.input, &decoded)
+            predict::denormalized(&self.normalizers, &spec.reconstructed(), &decoded)
         };
         Ok(reconstructed().map_err(LearningError::from)?.into_iter().collect())
     }

@@ -39,10 +39,12 @@ pub mod models {
     pub const TRAINING_MEAN: &str = "training_mean";
     /// The mean of the training samples with the nearest input, for estimates of the present sample.
     pub const NEAREST_NEIGHBORS: &str = "nearest_neighbors";
+    /// The decoder of the reconstruction with an encoder that is not trained, which estimates the probes.
+    pub const UNTRAINED: &str = "untrained";
     /// The baselines.
     pub const BASELINES: [&str; 4] = [PERSISTENCE, RIDGE, TRAINING_MEAN, NEAREST_NEIGHBORS];
     /// All that the harness has. Models of other programs have names of their own.
-    pub const ALL: [&str; 5] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN, NEAREST_NEIGHBORS];
+    pub const ALL: [&str; 6] = [NETWORK, PERSISTENCE, RIDGE, TRAINING_MEAN, NEAREST_NEIGHBORS, UNTRAINED];
 
     /// The names of the baselines as a list of SQL.
     pub fn baselines_in_sql() -> String {

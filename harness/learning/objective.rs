@@ -256,7 +256,7 @@ fn discounted(losses: &Tensor, discount: f64) -> Result<Tensor> {
 }
 
 /// Reconstructs the present observation from the latent state of a frozen encoder. The terms are the squared error of
-/// each input modality.
+/// each modality.
 pub struct Reconstruction<'a> {
     /// The dataset.
     pub data: &'a NormalizedData,
@@ -264,13 +264,13 @@ pub struct Reconstruction<'a> {
     pub latents: &'a Latents,
     /// Maps a latent state to the present observation.
     pub decoder: Box<dyn Decoder>,
-    /// Modalities of the encoder's input, which are reconstructed.
-    pub input: &'a [Modality],
+    /// Modalities that are reconstructed: those of the encoder's input, and others.
+    pub output: &'a [Modality],
 }
 
 impl Objective for Reconstruction<'_> {
     fn terms(&self, at: &[Sample], _draw: Draw) -> Result<Vec<Weighted>> {
-        let values = self.data.observation(at, self.input)?;
+        let values = self.data.observation(at, self.output)?;
         let targets =
             Targets { values: &values, losses: &BTreeMap::new(), parts: 1, score: Score::Loss, added: None };
         let terms = means(self.decoder.losses(&self.latents.rows(at)?, None, targets)?, 1.0)?;

@@ -372,6 +372,8 @@ impl Predictor for TrainedNetwork<'_> {
 
 /// A decoder that reconstructs the present sample from the latent state of a frozen network.
 pub struct TrainedDecoder<'a> {
+    /// What tables call the model.
+    pub name: &'static str,
     /// The dataset.
     pub data: &'a NormalizedData,
     /// The latent states.
@@ -384,7 +386,7 @@ pub struct TrainedDecoder<'a> {
 
 impl Predictor for TrainedDecoder<'_> {
     fn name(&self) -> &str {
-        models::NETWORK
+        self.name
     }
 
     fn given(&self) -> Option<&'static str> {

@@ -23,6 +23,8 @@ pub enum Stream {
         /// The epoch, counted from 0.
         epoch: usize,
     },
+    /// Initial parameters of a network that is not trained.
+    Untrained,
     /// Latent states that are drawn for the present sample with this index in its dataset.
     Draws(usize),
     /// Values that are drawn from distributions predicted from the present sample with this index in its dataset.
@@ -45,6 +47,7 @@ impl Random {
             Stream::Parameters(task) => block(task),
             Stream::Epoch { task, index } => block(task) + 1 + index as u64,
             Stream::Missing { epoch } => (1 << 35) + epoch as u64,
+            Stream::Untrained => 1 << 36,
             Stream::Draws(sample) => (1 << 33) + sample as u64,
             Stream::Members(sample) => (1 << 34) + sample as u64,
         });

@@ -194,6 +194,7 @@ impl Experiment {
             test: self.test.clone(),
             inputs: self.inputs.clone(),
             given: self.tests(),
+            probes: self.probes.clone(),
             scaling: self.scaling_of_used(scenario),
             model: Model::Trained(Box::new(Trained {
                 latent,
@@ -226,7 +227,8 @@ impl Experiment {
 
     /// Returns the scaling of the modalities that are used, as stored in a run's spec.
     fn scaling_of_used(&self, origin: &Origin) -> Scalings {
-        let used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
+        let used: Vec<Modality> =
+            self.input.iter().chain(&self.output).chain(&self.probes).copied().collect();
         let scaling = |modality: &Modality| {
             let given = self.scaling.get(modality).copied().unwrap_or_default();
             let known = self.known(origin, *modality).map(|known| known.scaling);

@@ -444,6 +444,7 @@ impl Experiment {
     fn canonical(mut self) -> Self {
         self.input.sort();
         self.output.sort();
+        self.probes.sort();
         self.simulation.factors.sort();
         self.test.iter_mut().flat_map(|test| &mut test.factors).for_each(|factors| factors.sort());
         self.training.loss_weights.retain(|modality, _| self.output.contains(modality));
@@ -475,6 +476,8 @@ impl Experiment {
             let none = Disturbance::default();
             self.inputs.retain(|modality, own| self.input.contains(modality) && *own != none);
             self.given = self.tests();
+            // The input is reconstructed anyway.
+            self.probes.retain(|modality| !self.input.contains(modality));
             let rates = self.training.modality_dropout.rates(&self.input);
             self.training.modality_dropout =
                 if rates.is_empty() { ModalityDropout::default() } else { ModalityDropout::Of(rates) };

@@ -12,7 +12,7 @@ use harness_shared::seal::hex;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The spec of one run: data, what is given and predicted, and what predicts, with one seed. It holds everything that
 /// the result depends on, and nothing else. Runs of different experiments with equal specs are therefore equal.
@@ -47,6 +47,8 @@ pub struct RunSpec {
     pub inputs: Disturbances,
     /// The tests of a trained network besides that with all inputs. Each has its inputs.
     pub given: Vec<Given>,
+    /// What the reconstruction estimates besides the input.
+    pub probes: Vec<Modality>,
     /// Scaling of each modality that is used. It is empty if all scalings are those that were in use before scaling
     /// became a setting, so that old runs keep their names. [`RunSpec::scalings`] handles both cases.
     pub scaling: Scalings,
@@ -113,6 +115,8 @@ struct Fields {
     inputs: Disturbances,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     given: Vec<Given>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    probes: Vec<Modality>,
     #[serde(default)]
     scaling: Scalings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -162,6 +166,7 @@ impl From<RunSpec> for Fields {
             test: spec.test,
             inputs: spec.inputs,
             given: spec.given,
+            probes: spec.probes,
             scaling: spec.scaling,
             training,
         }
@@ -193,10 +198,16 @@ impl TryFrom<Fields> for RunSpec {
             test: fields.test,
             inputs: fields.inputs,
             given: fields.given,
+            probes: fields.probes,
             scaling: fields.scaling,
             model,
         })
     }
+}
+
+/// Returns modalities without duplicates, in the order of [`Modality`].
+fn distinct<'a>(modalities: impl Iterator<Item = &'a Modality>) -> Vec<Modality> {
+    modalities.copied().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 impl RunSpec {
@@ -228,8 +239,8 @@ impl RunSpec {
         let parts = [variant, &model].into_iter().filter(|part| !part.is_empty());
         let variant = parts.collect::<Vec<_>>().join(",");
         let (model, tasks) = (Model::External(name.to_owned()), vec![Task::Prediction]);
-        let (inputs, given) = (Disturbances::new(), Vec::new());
-        Self { model, variant, seed, tasks, inputs, given, ..self.clone() }
+        let (inputs, given, probes) = (Disturbances::new(), Vec::new(), Vec::new());
+        Self { model, variant, seed, tasks, inputs, given, probes, ..self.clone() }
     }
 
     /// Returns the hash of what the run asks of a model, whichever it is: the first 16 hexadecimal digits of the
@@ -244,12 +255,15 @@ impl RunSpec {
         if self.window.horizon == 0 { 0 } else { layout.action().len() }
     }
 
-    /// Returns the input and output modalities, without duplicates, in the order of [`Modality`].
+    /// Returns the modalities of the input, the output and the probes, without duplicates, in the order of [`Modality`].
     pub fn modalities(&self) -> Vec<Modality> {
-        let mut used: Vec<Modality> = self.input.iter().chain(&self.output).copied().collect();
-        used.sort();
-        used.dedup();
-        used
+        distinct(self.input.iter().chain(&self.output).chain(&self.probes))
+    }
+
+    /// Returns what the reconstruction estimates from the latent state: the input and the probes, in the order of
+    /// [`Modality`].
+    pub fn reconstructed(&self) -> Vec<Modality> {
+        distinct(self.input.iter().chain(&self.probes))
     }
 
     /// Returns the scaling of each modality that is used, given the dataset's layout. A modality that the layout lacks

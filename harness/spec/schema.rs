@@ -211,11 +211,12 @@ pub(super) const BELOW_VARY: &str = "vary.";
 
 /// Whether `vary` takes the setting: not what makes cells of its own.
 pub(super) fn varies(key: &str) -> bool {
-    const SECTIONS: [&str; 14] = [
+    const SECTIONS: [&str; 15] = [
         "input",
         "inputs",
         "output",
         "given",
+        "probes",
         "outputs",
         "tasks",
         "action",

@@ -281,6 +281,12 @@ pub struct Experiment {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("uniqueItems" = true))]
     pub given: Vec<Given>,
+    /// What the reconstruction also estimates from the latent state, besides the input: anything that the dataset has,
+    /// such as `[arm, boxes]`. The same decoder with an untrained encoder is judged beside it, and regressions from the
+    /// input itself.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub probes: Vec<Modality>,
     /// How each modality is scaled for the network, and the lower bound of its predictions in physical units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(schema_with = "scalings_schema")]

@@ -60,6 +60,7 @@ pub(super) fn validate(experiment: &Experiment) -> Result<(), Fault> {
     modalities(experiment)?;
     tasks(&experiment.tasks)?;
     given(experiment)?;
+    probes(experiment)?;
     outputs(experiment)?;
     precision(&experiment.training)?;
     steps(&experiment.training)?;
@@ -205,7 +206,8 @@ fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
 /// Refuses a modality that one of the worlds does not declare. The modalities of an imported dataset are checked when
 /// it is opened.
 fn modalities(experiment: &Experiment) -> Result<(), Fault> {
-    let lists = [("input", &experiment.input), ("output", &experiment.output)];
+    let Experiment { input, output, probes, .. } = experiment;
+    let lists = [("input", input), ("output", output), ("probes", probes)];
     let worlds: Vec<_> = experiment.scenarios.iter().filter_map(|origin| experiment.world(origin)).collect();
     for world in &worlds {
         let names: Vec<&str> = world.modalities().map(Modality::name).collect();
@@ -253,6 +255,14 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
         return no_input(format!("training.modality_dropout.{modality}"), modality);
     }
     Ok(())
+}
+
+/// Refuses probes without the decoder that estimates them.
+fn probes(experiment: &Experiment) -> Result<(), Fault> {
+    match experiment.probes.is_empty() || experiment.tasks.contains(&Task::Reconstruction) {
+        true => Ok(()),
+        false => fault("probes", "the reconstruction estimates them; add reconstruction to 'tasks'"),
+    }
 }
 
 /// Refuses a disturbance of what is no input, or one that an image or a vector can't have.

@@ -66,12 +66,14 @@ pub struct Architecture {
 /// Returns the network that a run trains for `task` on a dataset with this layout.
 pub fn architecture(spec: &RunSpec, trained: &Trained, layout: &Arc<Layout>, task: Task) -> Architecture {
     let (output, action, distributions) = match task {
-        Task::Prediction => (&spec.output, spec.action_width(layout), trained.training.distributions.clone()),
-        Task::Reconstruction => (&spec.input, 0, BTreeMap::new()),
+        Task::Prediction => {
+            (spec.output.clone(), spec.action_width(layout), trained.training.distributions.clone())
+        }
+        Task::Reconstruction => (spec.reconstructed(), 0, BTreeMap::new()),
     };
     Architecture {
         input: spec.input.clone(),
-        output: output.clone(),
+        output,
         layout: layout.clone(),
         latent: trained.latent,
         action,
