@@ -54,6 +54,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "noise",
     "oracle",
     "paper",
+    "probes",
     "readings",
     "recommended",
     "reproduction",
