@@ -839,6 +839,18 @@ fn overrides_replace_single_settings() {
 }
 
 #[test]
+fn a_list_replaces_the_values_of_a_varied_setting() {
+    let varied = |axis: &str| format!("{BASE}vary:\n  {axis}\n");
+    let epochs = varied("training.epochs: [1, 2, 3]");
+    let expected = load(&varied("training.epochs: [7, 9]"));
+    assert_eq!(load_with(&epochs, &["training.epochs=[7, 9]"], false).unwrap(), expected);
+    // A value that is a list itself is one value.
+    let hidden =
+        load_with(varied("network.hidden: [[8], [9]]"), &["network.hidden=[64, 32]"], false).unwrap();
+    assert!(hidden.runs().iter().all(|run| run.trained().unwrap().network.hidden == [64, 32]));
+}
+
+#[test]
 fn a_single_value_stands_for_a_list_of_one() {
     let list =
         base_with("latent: [2]") + "tasks: [prediction]\nvary:\n  training.epochs: [5]\n  output: [[arm]]\n";

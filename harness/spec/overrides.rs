@@ -83,7 +83,7 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
 }
 
 /// Applies settings to a tree that has passed the checks. If a key is set twice, the later value is used. A setting
-/// that the tree varies is tried only with the value given here.
+/// that the tree varies is tried only with the value given here, or with the values of a list.
 pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
     // `vary` and `search` are applied first, so that the result does not depend on the order of the settings.
     let (varied, others): (Vec<&Entry>, Vec<&Entry>) = settings
@@ -92,6 +92,13 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
     for setting in varied.into_iter().chain(others) {
         if setting.key == SEARCH && matches!(setting.node.value, Value::Null) {
             remove(tree, SEARCH);
+            continue;
+        }
+        if let Some(values) = axis_values(tree, &setting.key)
+            && matches!(setting.node.value, Value::List(_))
+            && !schema::allows(&setting.key, &setting.node)
+        {
+            *values = setting.node.clone();
             continue;
         }
         match setting.key == VARY {
@@ -103,6 +110,13 @@ pub(super) fn apply(tree: &mut Node, settings: &[Entry]) {
             try_alone(tree, &Entry { key, ..setting.clone() });
         }
     }
+}
+
+/// Returns the values of a setting that a tree varies.
+fn axis_values<'a>(tree: &'a mut Node, key: &str) -> Option<&'a mut Node> {
+    let Value::Section(axes) = &mut tree.get_mut(VARY)?.value else { return None };
+    let axis = axes.iter_mut().find(|axis| axis.key == key)?;
+    matches!(axis.node.value, Value::List(_)).then_some(&mut axis.node)
 }
 
 /// Sets a setting. One of an output replaces that of its other key.
