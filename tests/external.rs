@@ -125,7 +125,7 @@ fn commands_take_runs_of_external_models() {
     let (both, usual) = (means("ridge,my_gru"), means("ridge"));
     assert_eq!(both.lines().count(), named.lines().count() + usual.lines().count() - 1);
     let refused = finish(&mut harness(&results, &["compare", "smoke", "--models", "my_lstm"]));
-    let known = "there is no model 'my_lstm'; there are network, persistence, ridge, training_mean, nearest_neighbors, my_gru, other\n";
+    let known = "there is no model 'my_lstm'; there are network, persistence, ridge, training_mean, nearest_neighbors, untrained, my_gru, other\n";
     assert!(refused.code == 2 && refused.stderr.ends_with(known), "{}", refused.stderr);
     assert!(succeed(&results, &["verify"]).contains("all files are intact"));
     assert!(succeed(&results, &["show", &runs[0]]).contains("my_gru"));

@@ -1,5 +1,6 @@
 """Networks rebuilt from their files, in PyTorch and in ONNX, compared with the harness's own predictions."""
 
+import copy
 import importlib.util
 import itertools
 import json
@@ -201,7 +202,8 @@ class Trained:
         self.name = name
         settings = KINDS[name] if settings is None else settings
         spec = {**yaml.safe_load(SMOKE.read_text()), "scenarios": ["empty"]}
-        for key, value in settings.items():
+        # A section of the settings is shared by many networks.
+        for key, value in copy.deepcopy(settings).items():
             *sections, last = key.split(".")
             section = spec
             for name in sections:
