@@ -205,10 +205,10 @@ class Trained:
         # A section of the settings is shared by many networks.
         for key, value in copy.deepcopy(settings).items():
             *sections, last = key.split(".")
-            section = spec
-            for name in sections:
-                section = section.setdefault(name, {})
-            section[last] = value
+            within = spec
+            for section in sections:
+                within = within.setdefault(section, {})
+            within[last] = value
         spec["tasks"] = ["prediction", "reconstruction"]
         self.results = folder / re.sub(r"\W+", "_", name)
         if not self.results.exists():
