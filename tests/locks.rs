@@ -20,7 +20,7 @@ fn attempt(folder: &Path) -> Option<FolderLock> {
 fn a_lock_shared_by_processes_is_opened_to_read_and_write() {
     let folder = fresh("lock-modes");
     let _lock = FolderLock::attempt_shared(&folder).unwrap().unwrap();
-    let lock = folder.join(LOCK);
+    let lock = folder.join(LOCK).canonicalize().unwrap();
     let descriptors = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
     let is_lock = |path: &Path| std::fs::read_link(path).is_ok_and(|file| file == lock);
     let own = descriptors.map(|entry| entry.path()).find(|path| is_lock(path)).unwrap();
