@@ -80,25 +80,20 @@ fn baselines(
     }
     let (sensed, normalizers) = (&**data.sensed(), &*data.normalizers);
     let given = Given { samples, sensed, normalizers, action: data.action, input: &spec.input };
-    if task == Task::Prediction {
-        for &horizon in &horizons {
-            if let Some(ridge) = Ridge::fit(given, &partition.training, output, horizon)? {
-                add(&ridge)?;
-            }
-        }
-        if spec.window.horizon == 0
-            && let Some(nearest) = NearestNeighbors::fit(given, &partition.training, output)?
-        {
-            add(&nearest)?;
-        }
-    } else {
-        // A probe is not part of the input, so that both are estimates.
-        if let Some(ridge) = Ridge::fit(given, &partition.training, &spec.probes, 0)? {
+    // What is reconstructed of the input would be its own regression. Probes are no part of it.
+    let regressed = match task {
+        Task::Prediction => output,
+        Task::Reconstruction => &spec.probes,
+    };
+    for &horizon in &horizons {
+        if let Some(ridge) = Ridge::fit(given, &partition.training, regressed, horizon)? {
             add(&ridge)?;
         }
-        if let Some(nearest) = NearestNeighbors::fit(given, &partition.training, &spec.probes)? {
-            add(&nearest)?;
-        }
+    }
+    if horizons == [0]
+        && let Some(nearest) = NearestNeighbors::fit(given, &partition.training, regressed)?
+    {
+        add(&nearest)?;
     }
     Ok(())
 }
