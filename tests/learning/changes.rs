@@ -65,6 +65,16 @@ fn predicted(predictor: &dyn Predictor, at: &[Sample], of: Modality) -> BTreeMap
     received(predictor, at, of, |prediction| prediction.values.clone())
 }
 
+/// The prediction of both modalities from both.
+pub(super) fn predicting<'a>(
+    data: &'a NormalizedData,
+    network: Box<dyn Predicting>,
+    window: &'a Window,
+    training: &'a Training,
+) -> Prediction<'a> {
+    Prediction { data, network, window, input: &BOTH, output: &BOTH, training, score: Score::Loss }
+}
+
 /// The loss of the arm on one window, in which a network with memory sees each sample once, and the mean of the scores
 /// of all predictions in it. `score` returns one for each element, from what `pick` returns, the reference and the unit
 /// of the change.
@@ -77,15 +87,8 @@ pub(super) fn loss_and_score<T>(
     let (bench, network, _) = bench(memory, family);
     let data = &bench.data;
     let training = Training { batch_size: 8, ..Training::default() };
-    let objective = Prediction {
-        data,
-        network,
-        window: &WINDOW,
-        input: &BOTH,
-        output: &BOTH,
-        training: &training,
-        score: Score::Loss,
-    };
+    let window = WINDOW;
+    let objective = predicting(data, network, &window, &training);
     let at = &bench.partition.test[..1];
     let terms = objective.terms(at, Draw::Mean).unwrap();
     let term = terms.iter().find(|term| term.name == Modality::ARM.name()).unwrap();
@@ -174,15 +177,8 @@ fn gradients_reach_back_through_the_changes_that_were_predicted_before() {
 fn gradients_of(family: Family) {
     let (bench, network, parameters) = bench(Memory::None, family);
     let training = Training::default();
-    let objective = Prediction {
-        data: &bench.data,
-        network,
-        window: &WINDOW,
-        input: &BOTH,
-        output: &BOTH,
-        training: &training,
-        score: Score::Loss,
-    };
+    let window = WINDOW;
+    let objective = predicting(&bench.data, network, &window, &training);
     let at = &bench.partition.training[..3];
     let loss = || {
         let terms = objective.terms(at, Draw::Mean).unwrap();

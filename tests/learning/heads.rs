@@ -1,6 +1,6 @@
 //! Networks that predict distributions.
 
-use super::changes::{BOTH, MEMORIES, WINDOW, bench, loss_and_score, received, trained};
+use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, predicting, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
 use harness_learning::network::{Decoder, Hurdle, Spread};
@@ -132,15 +132,7 @@ fn the_score_of_intervals_is_that_of_the_judged_distributions() {
     let (bench, network, _) = bench(Memory::None, Family::Gaussian);
     let (data, training) = (&bench.data, Training::default());
     let window = Window { horizon: 1, ..WINDOW };
-    let objective = Prediction {
-        data,
-        network,
-        window: &window,
-        input: &BOTH,
-        output: &BOTH,
-        training: &training,
-        score: Score::Loss,
-    };
+    let objective = predicting(data, network, &window, &training);
     let at = &bench.partition.training[..40];
     let intervals = objective.intervals();
     let terms = intervals.terms(at, Draw::Mean).unwrap();

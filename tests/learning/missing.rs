@@ -1,6 +1,6 @@
 //! Inputs that a network does not get, in training or in a test.
 
-use super::changes::{BOTH, MEMORIES, WINDOW, bench, trained};
+use super::changes::{BOTH, MEMORIES, WINDOW, bench, predicting, trained};
 use super::*;
 use harness_judge::Predictor;
 use harness_spec::ModalityDropout;
@@ -60,15 +60,8 @@ fn a_window_that_lacks_an_input_has_the_loss_of_one_that_is_not_given() {
             let modality_dropout = ModalityDropout::Of([(BOTH[lacking], rate)].into());
             let training = Training { modality_dropout, rollout_stride: 3, ..bench.training.clone() };
             let network = network.detached();
-            let objective = Prediction {
-                data,
-                network,
-                window: &WINDOW,
-                input: &BOTH,
-                output: &BOTH,
-                training: &training,
-                score: Score::Loss,
-            };
+            let window = WINDOW;
+            let objective = predicting(data, network, &window, &training);
             let (mut random, mut missing) = (random(3), Random::new(1, Stream::Missing { epoch: 0 }));
             let draw = Draw::Sample { random: &mut random, dropout: 0.0, missing: &mut missing };
             let terms = objective.terms(&bench.partition.test[..6], draw).unwrap();
