@@ -4,8 +4,7 @@
 use crate::common::finger::JOINTS;
 use crate::common::{finish, harness, succeed};
 use harness::claims::{
-    Claim, Condition, Each, Judgment, Matrix, Measured, Readings, Verdict, choose, corrected, judge, load,
-    runs,
+    Claim, Condition, Each, Judgment, Measured, Verdict, choose, corrected, judge, load, runs,
 };
 use harness::judge::MetricRow;
 use harness::learning::training::{Epoch, Losses, TOTAL};
@@ -14,7 +13,6 @@ use harness::metrics::{Direction, Metric, Row};
 use harness::registry::{ForceRows, Outcome, Provenance, Registry};
 use harness::seal;
 use harness::spec::{self, Experiment, Layout, Modality, RunSpec, Scenario, Task};
-use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -24,7 +22,7 @@ use tempfile::TempDir;
 mod error_rates;
 
 const FILE: &str = "experiments/claims.yaml";
-const EXPERIMENTS: [&str; 3] = ["single_to_multi", "multi_to_multi", "choose_action"];
+const EXPERIMENTS: [&str; 2] = ["single_to_multi", "multi_to_multi"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -587,8 +585,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
         (folder, registry)
     };
     let (_folder, registry) = datasets(|_| Same);
-    let about_both = |judgment: &Judgment| !judgment.claim.experiments.contains(&"choose_action".into());
-    for judgment in judgments(&registry, false).iter().filter(|judgment| about_both(judgment)) {
+    for judgment in &judgments(&registry, false) {
         assert_eq!(judgment.verdict(), Verdict::Holds, "{}: {judgment:?}", judgment.claim.id());
         if !about_the_dataset(judgment) {
             let places: Vec<_> = judgment.measured.values.keys().copied().collect();
@@ -599,7 +596,7 @@ fn several_datasets_count_as_datasets_whatever_their_seeds_say() {
     // Four of six values agree with the paper, but one dataset disagrees, so the claims are undecided.
     let (folder, registry) = datasets(|spec| if spec.dataset_seed() == 2 { Opposite } else { Same });
     let mut undecided = 0;
-    for judgment in judgments(&registry, false).iter().filter(|judgment| about_both(judgment)) {
+    for judgment in &judgments(&registry, false) {
         if !about_the_dataset(judgment) {
             // A claim is not testable if its requirement is undecided.
             let verdict = judgment.verdict();
@@ -713,62 +710,17 @@ fn a_correction_for_many_claims_stands_beside_the_verdicts() {
     );
 }
 
-#[test]
-fn a_choice_that_changes_a_verdict_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let registry = Registry::new(folder.path());
-    write_with(&registry, "readings", &["vary={simulation.seed: [0, 1]}"], |spec| {
-        match (spec.reading(), spec.role()) {
-            (Some("target"), Some("multi_to_multi")) => Opposite,
-            (Some("plain_sum"), _) => Nothing,
-            _ => Same,
-        }
-    });
-    let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
-    let spec = spec::load(&root().join("experiments/readings.yaml"), &[], false).unwrap();
-    let matrix = Readings::new(&registry, &spec, &claims, &[]).unwrap().judge(&claims).unwrap();
-    assert_eq!(matrix.readings[..2], ["base", "many_episodes"]);
-    assert!(matrix.rows.len() > 30 && matrix.left_out.len() < 20, "{}", matrix.rows.len());
-    let place = |name: &str| matrix.readings.iter().position(|reading| *reading == name).unwrap();
-    for row in &matrix.rows {
-        let id = row.claim.id();
-        let verdict = |name: &str| row.judgments[place(name)].verdict();
-        for same in ["base", "many_episodes", "all_epochs"] {
-            assert_eq!(verdict(same), Verdict::Holds, "{id} {same}: {:?}", row.judgments[place(same)]);
-        }
-        let with_vision = row.claim.experiments.contains(&"multi_to_multi".to_owned());
-        assert_eq!(verdict("target") == Verdict::Holds, !with_vision, "{id}: {:?}", verdict("target"));
-        if row.claim.requires.is_some() {
-            assert_eq!(verdict("plain_sum"), Verdict::NotTestable, "{id}");
-        }
-    }
-    let changed = matrix.rows.iter().find(|row| row.claim.id() == "vision_improves_force_r2").unwrap();
-    let changes: Vec<usize> = changed.changes().map(|(place, _)| place).collect();
-    assert_eq!(changes, [place("target"), place("plain_sum")]);
-
-    let printed = succeed(folder.path(), &["claims", "--readings"]);
-    let line = printed.lines().find(|line| line.starts_with("vision_improves_force_r2 empty")).unwrap();
-    assert!(line.split_whitespace().skip(2).eq(["+", "+", "+", "-", "+", "x", "+", "+", "+"]), "{line}");
-    assert!(printed.lines().take_while(|line| !line.is_empty()).all(|line| line.len() <= 80), "{printed}");
-    assert!(printed.contains("\n  what the action is: the setpoint itself: does not hold, -"), "{printed}");
-    matrix_on_the_page(folder.path(), &matrix);
-    let csv = folder.path().join("readings.csv");
-    succeed(folder.path(), &["claims", "--readings", "--output", csv.to_str().unwrap()]);
-    let csv = std::fs::read_to_string(csv).unwrap();
-    assert!(csv.starts_with("reading,claim,paper,") && csv.contains("\ntarget,vision_improves_force_r2,"));
-}
-
-/// Writes the runs of paper.yaml with these latent sizes on two datasets.
-fn write_paper(
+/// Writes the runs of reproduction.yaml with these latent sizes on two datasets.
+fn write_reproduction(
     registry: &Registry,
     sizes: impl Fn(&RunSpec) -> &'static [usize],
     says: impl Fn(&RunSpec) -> Says,
 ) {
-    let path = root().join("experiments/paper.yaml");
+    let path = root().join("experiments/reproduction.yaml");
     let experiment = spec::load(&path, &["vary={simulation.seed: [0, 1]}".into()], false).unwrap();
     for spec in experiment.runs() {
         if spec.latent().is_some_and(|latent| sizes(&spec).contains(&latent)) {
-            finish_run(registry, "paper", &spec, says(&spec));
+            finish_run(registry, "reproduction", &spec, says(&spec));
         }
     }
 }
@@ -780,7 +732,7 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
         Some("single_to_multi") => &[2, 4, 16][..],
         _ => &[16, 64, 128],
     };
-    write_paper(&registry, sizes, |spec| match (spec.reading(), spec.role()) {
+    write_reproduction(&registry, sizes, |spec| match (spec.reading(), spec.role()) {
         (Some("recommended"), Some("multi_to_multi")) => Opposite,
         _ => Same,
     });
@@ -810,8 +762,8 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
     let own = succeed(folder.path(), &["claims", "--all", "--where", "action=increment"]);
     assert!(own.contains("vision_improves_force_r2") && !own.contains("recommended"), "{own}");
     // Settings of the experiment with the readings choose among its runs.
-    let of_paper = succeed(folder.path(), &["claims", "--all", "--where", "paper:simulation.seed=0"]);
-    let row = of_paper.split("──\n").find(|row| row.contains("vision_improves_force_r2")).unwrap();
+    let first = succeed(folder.path(), &["claims", "--all", "--where", "reproduction:simulation.seed=0"]);
+    let row = first.split("──\n").find(|row| row.contains("vision_improves_force_r2")).unwrap();
     assert!(row.contains("n = 1") && !row.contains("n = 2"), "{row}");
     // Without --all, the counts come first, and each claim has a line.
     let short = succeed(folder.path(), &["claims"]);
@@ -819,20 +771,19 @@ fn claims_are_judged_by_readings_and_by_their_own_experiments() {
     let line = short.lines().find(|line| line.starts_with("vision_improves_force_r2 ")).unwrap();
     let words: Vec<&str> = line.split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
     assert_eq!(words[1..], ["holds", "does not hold", "holds"], "{short}");
-    // One word for what has no runs, and a line about the columns.
-    assert!(short.contains(" without data\n") && !short.contains("without runs"), "{short}");
+    // A line about the columns.
     assert!(
-        short.contains("\nbase: paper: ") && short.contains("own experiments: the experiments that"),
+        short.contains("\nbase: reproduction: ") && short.contains("own experiments: the experiments that"),
         "{short}"
     );
 }
 
 #[test]
 fn no_run_is_added_to_published_results() {
-    let claims = ["claims", "forces_are_distal", "vision_improves_reconstruction"];
+    let claims = ["claims", "forces_are_distal", "large_latent_reconstructs_with_vision"];
     let judged = succeed(&root().join("results/reference"), &claims);
     let expected = "\nno run is added to published results; these commands make runs in the folder results\n\
-                    for claims without data   harness run paper\n";
+                    for claims without data   harness run reproduction\n";
     assert!(judged.contains(expected), "{judged}");
 }
 
@@ -846,195 +797,13 @@ fn a_reading_without_runs_has_no_column() {
         (.., 0) => &[16, 64],
         _ => &[64],
     };
-    write_paper(&registry, sizes, |_| Same);
+    write_reproduction(&registry, sizes, |_| Same);
     let printed = succeed(folder.path(), &["claims", "--all"]);
     let header = printed.lines().find(|line| line.contains("condition")).unwrap();
     assert!(header.contains("recommended") && !header.contains("base"), "{header}");
     let csv = succeed(folder.path(), &["claims", "vision_improves_force_r2", "--format", "csv"]);
     let line = csv.lines().find(|line| line.starts_with("recommended,")).unwrap();
     assert!(line.ends_with(",holds"), "{line}");
-    let spec = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
-    let claims: Vec<&'static Claim> = CLAIMS.iter().collect();
-    let matrix = Readings::new(&registry, &spec, &claims, &[]).unwrap().judge(&claims).unwrap();
-    assert!(
-        matrix.rows.iter().all(|row| row.changes().next().is_none()),
-        "the base has no verdict to change"
-    );
-}
-
-#[test]
-fn runs_of_another_experiment_stand_for_those_of_a_reading() {
-    let folder = tempfile::tempdir().unwrap();
-    let registry = Registry::new(folder.path());
-    let sizes = |spec: &RunSpec| match (spec.reading(), spec.role()) {
-        (Some("recommended"), Some("single_to_multi")) => &[2, 4, 16][..],
-        _ => &[],
-    };
-    write_paper(&registry, sizes, |_| Same);
-    let path = root().join("experiments/paper.yaml");
-    let spec = spec::load(&path, &[], false).unwrap();
-    let claims: Vec<&'static Claim> =
-        CLAIMS.iter().filter(|claim| claim.id() == "vision_improves_force_r2").collect();
-    let verdicts = || -> Vec<Verdict> {
-        let matrix = Readings::new(&registry, &spec, &claims, &[]).unwrap().judge(&claims).unwrap();
-        matrix.rows.iter().map(|row| row.judgments[1].verdict()).collect()
-    };
-    assert_eq!(verdicts(), []);
-    let others = ["vary={simulation.seed: [0, 1]}"].map(str::to_owned);
-    let others = spec::load(&root().join("experiments/senses.yaml"), &others, false).unwrap();
-    for spec in others.runs().iter().filter(|spec| spec.role() == Some("angles_and_camera")) {
-        finish_run(&registry, "senses", spec, Same);
-    }
-    assert_eq!(verdicts(), [Verdict::Holds; 2]);
-    let own = |spec: &RunSpec| match (spec.reading(), spec.role()) {
-        (Some("recommended"), Some("multi_to_multi")) => &[16, 64, 128][..],
-        _ => &[],
-    };
-    write_paper(&registry, own, |_| Opposite);
-    assert_eq!(verdicts(), [Verdict::DoesNotHold; 2]);
-}
-
-/// The published runs with vision that stand for those of the recommended network have its settings.
-#[test]
-fn runs_that_stand_for_a_role_have_the_settings_of_its_reading() {
-    let spec = spec::load(&root().join("experiments/paper.yaml"), &[], false).unwrap();
-    let settings = |spec: &RunSpec| {
-        let mut settings = serde_json::to_value(spec).unwrap();
-        for name in ["variant", "tasks"] {
-            settings.as_object_mut().unwrap().remove(name);
-        }
-        // Both train all epochs, so it does not matter which loss would stop the training.
-        assert!(settings["training"]["patience"].is_null());
-        settings["training"].as_object_mut().unwrap().remove("stop");
-        settings
-    };
-    let recorded = Registry::new(root().join("results/reference")).recorded();
-    let mut compared = 0;
-    for reading in spec.readings.iter().filter(|reading| !reading.runs.is_empty()) {
-        for (role, others) in &reading.runs {
-            let is_other =
-                |spec: &RunSpec, name: &str| name == others.experiment && spec.variant == others.variant;
-            let others: Vec<Value> = recorded
-                .iter()
-                .filter(|(_, record)| is_other(&record.spec, &record.experiment))
-                .map(|(_, record)| settings(&record.spec))
-                .collect();
-            let own: Vec<Value> = spec
-                .runs()
-                .iter()
-                .filter(|spec| spec.reading() == Some(&reading.name) && spec.role() == Some(role))
-                .map(settings)
-                .collect();
-            assert!(others.iter().all(|other| own.contains(other)), "{role}");
-            compared += others.len();
-        }
-    }
-    assert_eq!(compared, 12);
-}
-
-/// The runs that stand for a role can be those of an experiment without roles, and of any of its variants.
-#[test]
-fn any_runs_can_stand_for_a_role() {
-    const SPEC: &str = "scenarios: [empty]\ninput: [proprioception]\noutput: [contact_force]\nlatent: [2]\n\
-                        seeds: [0]\ntasks: [prediction]\nnetwork: {preset: single_to_multi, hidden: [4]}\n\
-                        simulation: {episodes: 4, actuations_per_episode: 3}\n\
-                        training: {epochs: 1, batch_size: 16}\n";
-    const VARY: &str = "vary:\n  training.kl_weight: [0.001, 0.01]\n";
-    const CLAIMS: &str = "
-- id: forces
-  statement: There are forces.
-  measured: mean force
-  experiments: [single_to_multi]
-  query: |
-    select episode, avg(mean) as value from forces
-    where experiment = 'single_to_multi' and modality = 'contact_force' and episode is not null group by episode
-  condition: above -1
-- id: errors
-  statement: There are errors.
-  measured: error
-  experiments: [single_to_multi]
-  query: |
-    select seed, avg(value) as value from metrics where experiment = 'single_to_multi' and metric = 'rmse'
-    and model = 'network' and index is null and direction is null group by seed
-  condition: above -1
-";
-    let folder = tempfile::tempdir().unwrap();
-    let (results, at) = (folder.path().join("results"), |name: &str| folder.path().join(name));
-    let write = |name: &str, text: String| std::fs::write(at(name), text).unwrap();
-    write("plain.yaml", format!("name: plain\n{SPEC}{VARY}"));
-    write("roles.yaml", format!("name: roles\n{SPEC}{VARY}  role: {{one: {{}}, other: {{latent: [3]}}}}\n"));
-    write("claims.yaml", CLAIMS.to_owned());
-    for name in ["plain.yaml", "roles.yaml"] {
-        succeed(&results, &["run", at(name).to_str().unwrap()]);
-    }
-    for (experiment, variant) in [
-        ("plain", "kl_weight=0.001"),
-        ("plain", "kl_weight=0.01"),
-        ("roles", "role=one,kl_weight=0.001"),
-        ("roles", "role=one,kl_weight=0.01"),
-    ] {
-        let reading = format!(
-            "vary: {{role: {{single_to_multi: {{}}, multi_to_multi: {{latent: [3]}}}}}}\nreadings:\n- name: other\n  \
-             choice: what\n  base: this\n  instead: that\n  paper: nothing\n  settings: {{network.hidden: [5]}}\n  \
-             runs: {{single_to_multi: {{experiment: {experiment}, variant: '{variant}'}}}}\n"
-        );
-        write("stands.yaml", format!("name: stands\n{SPEC}{reading}"));
-        let file = at("claims.yaml");
-        let spec = at("stands.yaml");
-        let files = ["--file", file.to_str().unwrap(), "--readings", spec.to_str().unwrap()];
-        let said = succeed(&results, &[&["claims", "--format", "csv"][..], &files].concat());
-        let judged: Vec<&str> = said.lines().filter(|line| line.starts_with("other,")).collect();
-        let is_measured = |line: &&str| !line.contains("no data");
-        assert!(judged.len() == 2 && judged.iter().all(is_measured), "{experiment} {variant}: {said}");
-        // The file of claims can name the spec.
-        write("named.yaml", format!("readings: {}\nclaims:\n{}", spec.display(), CLAIMS.trim_start()));
-        let named = at("named.yaml");
-        let asked = ["claims", "--format", "csv", "--file", named.to_str().unwrap(), "--readings"];
-        assert_eq!(succeed(&results, &asked), said);
-    }
-}
-
-/// The report has the same matrix and the same choices.
-fn matrix_on_the_page(results: &Path, matrix: &Matrix) {
-    let out = results.join("report.html");
-    let mut command = harness(results, &["report", "--output", out.to_str().unwrap()]);
-    command.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json").env("XDG_CACHE_HOME", "/dev/null");
-    let answer = finish(&mut command);
-    assert_eq!(answer.code, 0, "{}", answer.stderr);
-    let page = std::fs::read_to_string(out).unwrap();
-    let part = page.split("<section id=\"readings\">").nth(1).unwrap().split("</section>").next().unwrap();
-    for row in &matrix.rows {
-        let (id, scenario) = (row.claim.id(), row.scenario.map_or("both", Scenario::name));
-        let shown = part.split(&format!("<tr id=\"reading-{id}-{scenario}\">")).nth(1).unwrap();
-        let shown = shown.split("</tr>").next().unwrap();
-        let cells: Vec<&str> = shown.split("<td ").skip(1).collect();
-        let changes: Vec<usize> = row.changes().map(|(place, _)| place).collect();
-        assert_eq!(cells.len(), row.judgments.len());
-        for (place, (cell, judgment)) in cells.iter().zip(&row.judgments).enumerate() {
-            let words = format!("<span class=\"hidden\">{}</span>", judgment.verdict());
-            assert!(cell.contains(&words), "{id}: {cell}");
-            assert_eq!(cell.contains(" changed\""), changes.contains(&place), "{id}: {cell}");
-        }
-    }
-    let changed = matrix.rows.iter().filter(|row| row.changes().next().is_some()).count();
-    assert_eq!(part.matches("<details class=\"change\">").count(), changed);
-    let said = format!("{} of {} verdicts are the same", matrix.rows.len() - changed, matrix.rows.len());
-    assert!(part.contains(&said), "{said}");
-    assert!(part.contains("<li>what the action is: the setpoint itself: does not hold, "));
-}
-
-#[test]
-fn readings_without_runs_are_named_with_their_command() {
-    let (folder, _registry) = results(&[0], |_| Same);
-    let answer = finish(&mut harness(folder.path(), &["claims", "--readings"]));
-    assert_eq!(answer.code, 1);
-    assert!(answer.stderr.contains(" run readings`"), "{}", answer.stderr);
-    let own = folder.path().join("my readings.yaml");
-    std::fs::copy(root().join("experiments/readings.yaml"), &own).unwrap();
-    let answer = finish(&mut harness(folder.path(), &["claims", "--readings", own.to_str().unwrap()]));
-    assert!(answer.stderr.contains(&format!(" run '{}'`", own.display())), "{}", answer.stderr);
-    let answer = finish(&mut harness(folder.path(), &["claims", "--readings", "experiments/smoke.yaml"]));
-    assert!(answer.stderr.contains("smoke.yaml has no readings"), "{}", answer.stderr);
 }
 
 // --- conditions and intervals ---
@@ -1212,7 +981,7 @@ const ONE: &str = "- id: force
 #[test]
 fn faults_of_a_file_are_named_with_their_place() {
     assert!(load_text(ONE).is_ok());
-    assert_eq!(load_text(&format!("readings: paper\nclaims:\n{ONE}")).unwrap().len(), 1);
+    assert_eq!(load_text(&format!("readings: reproduction\nclaims:\n{ONE}")).unwrap().len(), 1);
     let error = load_text(&format!("reading: paper\nclaims:\n{ONE}")).unwrap_err();
     assert!(error.contains("1:1: unknown field `reading`, expected one of readings, claims"), "{error}");
     let edited = |old: &str, new: &str| {

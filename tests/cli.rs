@@ -425,9 +425,7 @@ fn commands_that_read_say_that_there_are_no_results() {
     // A file of the user that is not there comes first.
     for arguments in [
         &["claims", "--file", "none.yaml"][..],
-        &["claims", "--readings", "none.yaml"],
         &["report", "--claims", "none.yaml"],
-        &["report", "--readings", "none.yaml"],
         &["serve", "--claims", "none.yaml"],
     ] {
         let message = error(&finish(&mut harness(&nowhere, arguments)), 2);

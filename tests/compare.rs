@@ -328,18 +328,31 @@ fn no_number_or_arrow_of_a_comparison_is_broken_at_any_width() {
 /// Each of the networks' inputs has its own ridge regression.
 #[test]
 fn many_columns_of_a_text_are_rows() {
-    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    let print = |option: &[&str]| {
-        succeed(&reference, &[&["compare", "memory", "--horizon", "1"][..], option].concat())
-    };
+    let results = fresh("compare_many_columns");
+    let senses = ["proprioception", "arm", "contact_force", "contact_force_mean"];
+    let labels = (1..1 << senses.len()).map(|chosen| {
+        let input = (0..senses.len()).filter(|sense| chosen >> sense & 1 == 1).map(|sense| senses[sense]);
+        let input: Vec<&str> = input.collect();
+        let label = if input.len() == senses.len() { "all_senses".into() } else { input.join("_and_") };
+        format!("{label}: {{input: [{}]}}", input.join(", "))
+    });
+    let labels = labels.collect::<Vec<_>>().join(", ");
+    let vary = format!("vary={{senses: {{{labels}}}}}");
+    let more = [
+        "scenarios=empty",
+        "output=[proprioception, contact_force]",
+        "tasks=prediction",
+        "training.epochs=1",
+    ];
+    let network = ["network.preset=single_to_multi", &vary];
+    succeed(&results, &[&["run", SMOKE][..], &more, &network].concat());
+    let print = |option: &[&str]| succeed(&results, &[&["compare", "smoke"][..], option].concat());
     let (short, all) = (print(&[]), print(&["--all"]));
     assert!(short.lines().all(|line| line.chars().count() < 170 || line.contains("; ")), "{short}");
-    let part = |text: &str| text.split("cluttered, latent 64\n").nth(1).unwrap().to_owned();
-    let row =
-        |text: &str| part(text).lines().find(|line| line.starts_with("all_senses ")).unwrap().to_owned();
-    // R2 of the force, which has the last column, as in docs/memory.md.
-    assert!(row(&short).ends_with(" 0.726 ± 0.040") && row(&all).ends_with(" 0.726 ± 0.040"), "{short}");
-    assert!(part(&short).contains("* the best of its column"), "{short}");
+    let row = |text: &str| text.lines().find(|line| line.starts_with("all_senses ")).unwrap().to_owned();
+    let last = |text: &str| row(text).split_whitespace().last().unwrap().to_owned();
+    assert!(last(&short).parse::<f64>().is_ok() && last(&short) == last(&all), "{short}\n{all}");
+    assert!(short.contains("* the best of its column"), "{short}");
     assert!(
         !short.contains("\nridge, ") && short.contains("; ridge of each column is left out; --all shows it"),
         "{short}"
@@ -765,15 +778,15 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     assert!(scenarios.contains("each scenario has its own; leave scenario out of --by"), "{scenarios}");
 }
 
-/// Copies the published runs of two roles of `memory`. Those with the camera lack one dataset of the empty scenario.
+/// Copies the published runs of two labels of `which_sense`. Those with the arm lack one dataset of the empty scenario.
 fn without_one_dataset(name: &str) -> PathBuf {
-    let (results, runs) = (fresh(name), Path::new("runs/memory"));
+    let (results, runs) = (fresh(name), Path::new("runs/which_sense"));
     let published = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference").join(runs);
     for entry in std::fs::read_dir(&published).unwrap() {
         let run = entry.unwrap().file_name().into_string().unwrap();
-        let chosen = ["-z64-role=angles-", "-z64-role=angles_and_camera-"];
-        let left_out = run.starts_with("empty-z64-role=angles_and_camera-data2-");
-        if !left_out && chosen.iter().any(|role| run.contains(role)) {
+        let chosen = ["-z64-senses=finger-", "-z64-senses=arm-"];
+        let left_out = run.starts_with("empty-z64-senses=arm-data2-");
+        if !left_out && chosen.iter().any(|label| run.contains(label)) {
             copy_folder(&published.join(&run), &results.join(runs).join(&run));
         }
     }
@@ -783,16 +796,16 @@ fn without_one_dataset(name: &str) -> PathBuf {
 #[test]
 fn a_baseline_is_one_column_over_all_datasets() {
     let results = without_one_dataset("compare_baselines");
-    let roles = ["variant=role=angles", "variant=role=angles_and_camera"];
+    let labels = ["senses=finger", "senses=arm"];
     let options = ["--models", "network,persistence", "--metrics", "r2", "--format", "markdown"];
-    let chosen: Vec<&str> = roles.into_iter().flat_map(|role| ["--where", role]).collect();
-    let printed = succeed(&results, &[&["compare", "memory"], &chosen[..], &options].concat());
+    let chosen: Vec<&str> = labels.into_iter().flat_map(|label| ["--where", label]).collect();
+    let printed = succeed(&results, &[&["compare", "which_sense"], &chosen[..], &options].concat());
     let (header, _) = markdown(&printed);
-    assert_eq!(header[2..], ["angles", "angles_and_camera", "persistence"], "{printed}");
-    assert!(printed.contains("over 2 to 3 datasets"), "{printed}");
-    let refused = finish(&mut harness(&results, &["compare", "memory", "--where", "rol=angles"]));
+    assert_eq!(header[2..], ["finger", "arm", "persistence"], "{printed}");
+    assert!(printed.contains("over 3 to 4 datasets"), "{printed}");
+    let refused = finish(&mut harness(&results, &["compare", "which_sense", "--where", "sense=arm"]));
     assert!(
-        refused.stderr.contains("no run has a setting 'rol'; did you mean 'role'?"),
+        refused.stderr.contains("no run has a setting 'sense'; did you mean 'senses'?"),
         "{}",
         refused.stderr
     );
@@ -804,38 +817,35 @@ fn differences_name_the_datasets_that_both_columns_have() {
     let over = |more: &[&str]| {
         let options =
             ["--where", "scenario=empty", "--models", "network", "--metrics", "r2", "--format", "markdown"];
-        let printed = succeed(&results, &[&["compare", "memory"], &options[..], more].concat());
+        let printed = succeed(&results, &[&["compare", "which_sense"], &options[..], more].concat());
         let (_, note) = printed.split_once("95 % interval over ").unwrap();
-        note.split(';').next().unwrap().trim().to_owned()
+        note.split(" and ").next().unwrap().trim().to_owned()
     };
-    assert_eq!(over(&[]), "2 to 3 datasets");
-    assert_eq!(over(&["--against", "angles_and_camera"]), "2 datasets");
+    assert_eq!(over(&[]), "3 to 4 datasets");
+    assert_eq!(over(&["--against", "arm"]), "3 datasets");
 }
 
 #[test]
 fn horizons_are_rows_of_one_table() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let table = |more: &[&str]| {
-        let chosen = ["--where", "variant=role=angles", "--where", "scenario=empty", "--format", "markdown"];
+        let chosen = ["--where", "senses=arm", "--format", "markdown"];
         let of = ["--metrics", "r2", "--models", "network,persistence"];
-        succeed(&reference, &[&["compare", "memory"], &chosen[..], &of, more].concat())
+        succeed(&reference, &[&["compare", "history"], &chosen[..], &of, more].concat())
     };
     // In their order, each once.
-    let printed = table(&["--horizon", "20,1,5,1", "--of", "contact_force"]);
+    let printed = table(&["--horizon", "20,1,5,1", "--of", "contact_force_mean"]);
     let (header, rows) = markdown(&printed);
     assert_eq!(header, ["", "latent 64", "persistence"], "{printed}");
     assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), ["horizon 1", "horizon 5", "horizon 20"]);
     assert!(printed.contains("; horizons in samples of 0.1 s"), "{printed}");
     // Each row is that of the table of its horizon alone, which has more words.
-    let alone = table(&["--horizon", "5", "--of", "contact_force"]);
+    let alone = table(&["--horizon", "5", "--of", "contact_force_mean"]);
     assert!(markdown(&alone).1[0].ends_with(&rows[1][1..]), "{alone}");
-    // A modality can be chosen as a whole, and by the unit of its elements.
-    let units = |name: &str| {
-        let printed = table(&["--horizon", "1,5", "--of", name]);
-        markdown(&printed).1.iter().map(|row| row[1].to_owned()).collect::<Vec<_>>()
-    };
-    assert_eq!(units("arm"), ["arm in m", "arm in rad", "arm in m", "arm in rad"]);
-    assert_eq!(units("arm in rad,contact_force")[..2], ["arm in rad", "contact force"]);
+    // Modalities keep the order in which they were asked for.
+    let asked = table(&["--horizon", "1,5", "--of", "contact_force,proprioception"]);
+    let names: Vec<&str> = markdown(&asked).1.iter().map(|row| row[1]).collect();
+    assert_eq!(names[..2], ["contact force", "contact force"], "{asked}");
 }
 
 #[test]

@@ -139,35 +139,6 @@ fn commands_take_runs_of_external_models() {
     assert!(!succeed(&results, &["ls"]).contains(&runs[2]));
 }
 
-/// Rows of earlier versions call every model that is no baseline a network.
-#[test]
-fn published_rows_of_a_model_of_another_program_have_its_name() {
-    let reference = Path::new("results/reference");
-    for table in ["metrics", "all_metrics"] {
-        let sql = format!(
-            "select architecture, model, trained_here, count(*) > 0 as found from {table} where experiment = 'memory'
-             and scenario = 'empty' group by all order by all"
-        );
-        let rows = |architecture: &str, own: &str| {
-            let mut models = ["persistence", "ridge", "training_mean", own];
-            models.sort_unstable();
-            models.map(|model| format!("{architecture},{model},{},true\n", model == "network")).concat()
-        };
-        let [multi, single] = ["multi_to_multi", "single_to_multi"].map(|preset| rows(preset, "network"));
-        let simulator = rows("simulator", "simulator");
-        let found = succeed(reference, &["query", &sql, "--format", "csv"]);
-        assert_eq!(found, format!("architecture,model,trained_here,found\n{multi}{simulator}{single}"));
-    }
-    // A condition and a mean see the same names.
-    let sql = "select max(value) as best from all_metrics where experiment = 'memory' and model = 'network'
-               and metric = 'r2' and modality = 'contact_force' and index is null and direction is null";
-    let best = succeed(reference, &["query", sql, "--format", "csv"]);
-    let best: f64 = best.lines().nth(1).unwrap().parse().unwrap();
-    assert!((0.3..0.99).contains(&best), "{best}");
-    let compared = succeed(reference, &["compare", "memory", "--models", "simulator", "--format", "csv"]);
-    assert!(compared.lines().count() > 1 && compared.lines().skip(1).all(|row| row.contains(",simulator,")));
-}
-
 /// Overrides of the smoke experiment whose networks predict only vectors, one from the other.
 const AHEAD: [&str; 5] = [
     "input=[proprioception]",

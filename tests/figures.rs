@@ -80,18 +80,13 @@ pub fn words_of(svg: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn a_baseline_of_runs_in_several_scenarios_is_one_curve() {
+fn a_baseline_of_several_variants_is_one_curve() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let out = fresh("figures_baseline");
-    let variants = ["angles", "angles_and_camera", "angles,memory=none,model=simulator"];
-    let settings = variants.map(|variant| format!("variant=role={variant}"));
-    let chosen: Vec<&str> = settings.iter().flat_map(|setting| ["--where", setting]).collect();
-    let more = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
-    // The networks with the camera are on one more dataset.
-    succeed(&reference, &[&["figures", "horizon"][..], &chosen, &more].concat());
+    let more = ["--experiment", "history", "--format", "svg", "--output", out.to_str().unwrap()];
+    succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
     let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
-    // The simulator was judged by a task of the networks that had no memory.
-    assert!(words.contains("angles, memory=none, model=simulator"), "{words:?}");
+    assert!(words.contains("touch") && words.contains("touch_now"), "{words:?}");
     assert!(words.contains("persistence") && words.contains("training mean"), "{words:?}");
     assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
 }
@@ -118,38 +113,33 @@ fn a_figure_without_rows_suggests_a_run_only_if_it_adds_some() {
     assert!(same.contains("have no rows") && !same.contains(" run single_to_multi"), "{same}");
 }
 
-/// Each of the inputs has its own ridge regression.
 #[test]
-fn a_figure_with_too_many_series_leaves_out_ridge() {
-    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    let out = fresh("figures_without_ridge");
-    let drawn = |roles: &[&str]| {
-        let roles: Vec<String> = roles.iter().map(|role| format!("variant=role={role}")).collect();
-        let chosen: Vec<&str> = roles.iter().flat_map(|role| ["--where", role]).collect();
-        let options = ["--experiment", "memory", "--format", "svg", "--output", out.to_str().unwrap()];
-        succeed(&reference, &[&["figures", "horizon"], &options[..], &chosen].concat());
+fn a_figure_with_too_many_series_leaves_out_baselines_first() {
+    let (results, out) = (fresh("figures_of_many"), fresh("figures_of_many_drawn"));
+    let widths: Vec<String> = (0..14).map(|n| format!("w{n:02}: {{network.hidden: {}}}", n + 2)).collect();
+    let vary = format!("vary={{width: {{{}}}}}", widths.join(", "));
+    let vectors = ["scenarios=empty", "input=proprioception", "output=[proprioception, contact_force]"];
+    let network = ["network.preset=single_to_multi", "training.epochs=1", "window.horizon=2"];
+    let more = ["name=many", "tasks=prediction", &vary];
+    succeed(&results, &[&["run", SMOKE][..], &vectors, &network, &more].concat());
+    let drawn = |networks: usize| {
+        let widths: Vec<String> = (0..networks).map(|n| format!("width=w{n:02}")).collect();
+        let chosen: Vec<&str> = widths.iter().flat_map(|width| ["--where", width]).collect();
+        let options = ["--experiment", "many", "--format", "svg", "--output", out.to_str().unwrap()];
+        succeed(&results, &[&["figures", "horizon"], &options[..], &chosen].concat());
         words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap())
     };
-    let vectors = ["angles", "angles_now", "angles_and_arm", "angles_and_arm_now", "angles_and_arm_short"];
-    let more = ["angles_arm_and_touch", "angles_and_camera", "angles_and_camera_now"];
-    let words = drawn(&[&vectors[..], &more, &["angles,memory=none,model=simulator"]].concat());
-    assert!(words.iter().any(|text| text.ends_with("more than 12 series: ridge")), "{words:?}");
-    assert!(!words.iter().any(|text| text.ends_with(", ridge")), "{words:?}");
-    assert!(words.contains("angles_and_camera") && words.contains("training mean"), "{words:?}");
-    // The networks of these roles and persistence are 12 series.
-    let all = ["angles_window", "angles_and_arm_window", "all_senses"];
-    let words = drawn(&[&vectors[..], &more, &all].concat());
-    assert!(
-        words.iter().any(|text| text.ends_with("more than 12 series: ridge, training mean")),
-        "{words:?}"
-    );
-    assert!(words.contains("all_senses") && words.contains("persistence"), "{words:?}");
-    // These are 15, so the last networks are left out.
-    let others = ["angles_rssm", "angles_and_arm_rssm", "angles_arm_and_touch_short"];
-    let words = drawn(&[&vectors[..], &more, &all, &others].concat());
-    assert!(words.iter().any(|text| text.ends_with("training mean, 3 of 14 networks")), "{words:?}");
-    assert!(words.contains("angles_and_arm_rssm") && words.contains("persistence"), "{words:?}");
-    assert!(!words.contains("all_senses"), "{words:?}");
+    for (networks, left_out) in
+        [(10, "ridge"), (11, "ridge, training mean"), (14, "training mean, 3 of 14 networks")]
+    {
+        let words = drawn(networks);
+        let remark =
+            format!("more than 12 series: {}", if networks > 12 { "ridge, " } else { "" }) + left_out;
+        assert!(words.iter().any(|text| text.ends_with(&remark)), "{remark}: {words:?}");
+        assert!(words.contains("persistence") && words.contains("w10") == (networks > 10), "{words:?}");
+        assert_eq!(words.contains("training mean"), networks == 10, "{words:?}");
+        assert!(!words.contains("w11"), "{words:?}");
+    }
 }
 
 #[test]
@@ -774,9 +764,8 @@ fn missing_runs_are_named_with_the_command_and_others_are_drawn() {
     assert!(unknown.stderr.contains("'regression'"), "{}", unknown.stderr);
 }
 
-/// The networks with vision of `paper/recommended` are those of the experiment senses.
 #[test]
-fn a_reading_is_drawn_with_the_runs_that_stand_for_it() {
+fn a_reading_is_drawn_with_its_runs() {
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let out = fresh("figures_reading");
     let draw = |results: &Path, reading: &str| {
@@ -784,7 +773,7 @@ fn a_reading_is_drawn_with_the_runs_that_stand_for_it() {
         let arguments = [&["figures", "--output", out.to_str().unwrap()], &arguments[..]].concat();
         finish(&mut harness(results, &arguments))
     };
-    let answer = draw(&reference, "paper/recommended");
+    let answer = draw(&reference, "reproduction/recommended");
     assert_eq!(answer.code, 0, "{}", answer.stderr);
     let file = fs::File::open(out.join("prediction_results.csv")).unwrap();
     let table = CsvReader::new(file).finish().unwrap();
@@ -792,16 +781,16 @@ fn a_reading_is_drawn_with_the_runs_that_stand_for_it() {
     let networks = (0..table.height()).filter(|row| text(&table, "model", *row) == "network");
     let found: BTreeSet<String> =
         networks.map(of).map(|(experiment, latent)| format!("{experiment} {}", latent.unwrap())).collect();
-    let expected = ["paper 16", "paper 2", "paper 4", "senses 64"];
-    assert!(found.is_superset(&expected.map(str::to_owned).into()), "{found:?}");
+    let expected = ["16", "2", "4", "64"].map(|latent| format!("reproduction {latent}"));
+    assert!(found.is_superset(&expected.into()), "{found:?}");
 
     for (reading, expected) in [
-        ("paper/nothing", "paper has no reading 'nothing'; its readings are base, recommended"),
-        ("paper", "'paper' names no reading; write EXPERIMENT/READING, for example paper/recommended"),
-        ("smoke/base", "smoke has no readings; name an experiment that has, such as paper"),
+        ("reproduction/nothing", "reproduction has no reading 'nothing'; its readings are base, recommended"),
+        ("base", "'base' names no reading; write EXPERIMENT/READING, for example reproduction/recommended"),
+        ("smoke/base", "smoke has no readings; name an experiment that has, such as reproduction"),
         (
-            "paper/base",
-            "no finished runs of paper under the reading 'base' in the role single_to_multi; make them with `",
+            "reproduction/base",
+            "no finished runs of reproduction under the reading 'base' in the role single_to_multi; make them with `",
         ),
     ] {
         let answer = draw(&RESULTS, reading);

@@ -12,8 +12,8 @@ const SQL: &str = "select experiment, run, 'a, \"b\" | c' as text, latent, predi
 /// The commands, and the noun for their rows.
 const COMMANDS: [(&[&str], &str); 4] = [
     (&["query", SQL], "row"),
-    (&["ls", "single_to_multi"], "run"),
-    (&["compare", "multi_to_multi_best"], "mean"),
+    (&["ls", "which_sense"], "run"),
+    (&["compare", "recommended"], "mean"),
     (&["claims"], "verdict"),
 ];
 

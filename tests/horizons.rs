@@ -22,24 +22,27 @@ use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
 
 /// Commands whose answers must not depend on further rows. `{}` is a folder of their own.
-const COMMANDS: [&[&str]; 17] = [
+const COMMANDS: [&[&str]; 16] = [
     &["ls"],
     &["verify"],
-    &["show", "senses/empty-z64-role=angles-seed0"],
-    &["diff", "senses/empty-z64-role=angles-seed0", "senses/empty-z64-role=angles_and_arm-seed0"],
+    &["show", "which_sense/empty-z64-senses=finger-seed0"],
+    &["diff", "which_sense/empty-z64-senses=finger-seed0", "which_sense/empty-z64-senses=arm-seed0"],
     &["compare"],
-    &["compare", "multi_to_multi", "--models", "network,ridge"],
-    &["compare", "senses", "--format", "csv"],
+    &["compare", "reproduction", "--models", "network,ridge"],
+    &["compare", "which_sense", "--format", "csv"],
     &["claims"],
     &["claims", "--format", "csv"],
-    &["claims", "--readings", "--format", "csv"],
     &["query", "select count(*), avg(value) from metrics"],
     &["query", "select model, metric, avg(value), count(*) from metrics group by all order by all"],
     &["query", "select task, modality, avg(predicted), count(*) from predictions group by all order by all"],
     &["query", "select count(*) from frames"],
     &[
         "plot",
-        "multi_to_multi",
+        "reproduction",
+        "--where",
+        "role=single_to_multi",
+        "--where",
+        "reading=base",
         "--x",
         "latent",
         "--metrics",
@@ -133,8 +136,8 @@ fn answer(results: &Path, command: &[&str]) -> (i32, String, Vec<(String, Vec<u8
 
 #[test]
 fn further_rows_change_no_other_answer() {
-    let [plain, further] =
-        ["horizons_plain", "horizons_further"].map(|name| published_without(&["memory", "paper"], name));
+    let [plain, further] = ["horizons_plain", "horizons_further"]
+        .map(|name| published_without(&["history", "missing", "choose_recommended"], name));
     // These runs have further rows already.
     for results in [&plain, &further] {
         for run in runs(results).iter().filter(|run| run.join(Table::AllMetrics.file_name()).exists()) {
@@ -142,7 +145,7 @@ fn further_rows_change_no_other_answer() {
         }
     }
     let added = runs(&further);
-    assert!(added.len() > 100);
+    assert!(added.len() > 80);
     added.iter().for_each(|run| add_further_rows(run));
     for command in COMMANDS {
         let (expected, found) = (answer(&plain, command), answer(&further, command));
@@ -172,8 +175,7 @@ fn further_rows_change_no_other_answer() {
         assert_eq!(of("horizon = 0 and task = 'prediction'"), 0);
     }
     let means = |given: &[&str]| -> Vec<f64> {
-        let asked =
-            ["compare", "choose_action", "--models", "network", "--metrics", "r2", "--format", "json"];
+        let asked = ["compare", "which_sense", "--models", "network", "--metrics", "r2", "--format", "json"];
         let said = succeed(&further, &[&asked[..], given].concat());
         let rows: Vec<Value> = serde_json::from_str(&said).unwrap();
         rows.iter().map(|row| row["mean"].as_f64().unwrap()).collect()
@@ -191,8 +193,7 @@ fn further_rows_change_no_other_answer() {
     let moved = [&plain, &further].map(|results| moved(results));
     for (expected, found) in moved[0].iter().zip(&moved[1]) {
         for command in &COMMANDS[..COMMANDS.len() - 3] {
-            if ["verify", "show"].contains(&command[0])
-                || command.iter().any(|word| word.starts_with("multi"))
+            if ["verify", "show"].contains(&command[0]) || command.iter().any(|word| *word == "reproduction")
             {
                 continue;
             }
@@ -240,8 +241,9 @@ pub fn served(results: &Path, requests: &[(&str, &str, &str)]) -> Vec<Value> {
 
 /// What `harness serve` sends of metrics of the next sample: of a run, of a query, and the claims.
 fn served_of_next_sample(results: &Path) -> Vec<Value> {
-    let run = runs(results).into_iter().find(|run| run.to_str().unwrap().contains("senses/empty")).unwrap();
-    let run = format!("senses/{}", run.file_name().unwrap().to_str().unwrap());
+    let run =
+        runs(results).into_iter().find(|run| run.to_str().unwrap().contains("which_sense/empty")).unwrap();
+    let run = format!("which_sense/{}", run.file_name().unwrap().to_str().unwrap());
     let sql =
         "select run, metric, avg(value) as mean, count(*) as rows from metrics group by all order by all";
     let run = format!("/api/run?run={}", run.replace('/', "%2F").replace('=', "%3D"));
@@ -261,8 +263,8 @@ impl Drop for Serving {
 fn moved(results: &Path) -> [PathBuf; 2] {
     let place = |name: &str| fresh(&format!("{name}_{}", results.file_name().unwrap().to_str().unwrap()));
     let [copy, complete] = ["copied", "complete"].map(place);
-    succeed(results, &["publish", "senses", "--output", copy.to_str().unwrap()]);
-    succeed(results, &["publish", "senses", "--complete", "--output", complete.to_str().unwrap()]);
+    succeed(results, &["publish", "which_sense", "--output", copy.to_str().unwrap()]);
+    succeed(results, &["publish", "which_sense", "--complete", "--output", complete.to_str().unwrap()]);
     [copy, complete]
 }
 
@@ -654,10 +656,10 @@ fn the_figure_shows_error_and_skill_over_seconds() {
     let unknown = refused(&RESULTS, &["--experiment", "smoke", "--of", "vision"]);
     assert!(unknown.contains("they predict contact_force, proprioception"), "{unknown}");
     let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    let one = refused(&reference, &["--experiment", "senses"]);
-    assert!(one.contains("the runs of senses predict only the next sample"), "{one}");
+    let one = refused(&reference, &["--experiment", "which_sense"]);
+    assert!(one.contains("the runs of which_sense predict only the next sample"), "{one}");
     let none = refused(&RESULTS, &[]);
-    assert!(none.contains("has no finished runs of memory; make them with `"), "{none}");
+    assert!(none.contains("has no finished runs of history; make them with `"), "{none}");
 }
 
 #[test]

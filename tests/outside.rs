@@ -56,8 +56,6 @@ fn built_in_experiments_and_claims_need_no_clone() {
         let judged = succeed(folder.path(), arguments);
         assert!(judged.contains("for claims without data   harness run single_to_multi\n"), "{judged}");
     }
-    let readings = answer(folder.path(), &["claims", "--readings"]);
-    assert!(readings.stderr.contains("there are no runs of readings; make them with `harness run readings`"));
     succeed(folder.path(), &["report"]);
 }
 
@@ -104,7 +102,7 @@ fn unknown_names_and_files_are_refused_with_what_there_is() {
     assert!(
         unknown.starts_with(
             "error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: \
-                             choose_action, "
+                             choose_recommended, "
         ) && unknown.ends_with(", which_sense_crowded, or the path of a file\n"),
         "{unknown}"
     );

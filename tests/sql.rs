@@ -9,8 +9,7 @@ use std::process::Command;
 use std::sync::LazyLock;
 
 /// Most of the published results.
-static RESULTS: LazyLock<PathBuf> =
-    LazyLock::new(|| published_without(&["memory", "paper", "readings"], "sql"));
+static RESULTS: LazyLock<PathBuf> = LazyLock::new(|| published_without(&["history"], "sql"));
 
 /// An entry of tests/sql/corpus.sql.
 struct Entry {

@@ -261,7 +261,7 @@ fn what_is_suggested_where_nothing_is_found_works() {
     there.say(&["validate", empty.to_str().unwrap()]);
     there.say(&["claims", "--plan"]);
     there.say(&["figures", "regression", "--quick"]);
-    there.works(6);
+    there.works(5);
     // No spec makes the runs of an experiment with this name.
     there.said.clear();
     there.say(&["figures", "regression", "--single", "nothing"]);

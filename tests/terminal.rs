@@ -18,7 +18,8 @@ static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments");
     std::fs::create_dir(folder.path().join("experiments")).unwrap();
-    for file in ["smoke.yaml", "claims.yaml", "readings.yaml", "single_to_multi.yaml", "multi_to_multi.yaml"]
+    for file in
+        ["smoke.yaml", "claims.yaml", "reproduction.yaml", "single_to_multi.yaml", "multi_to_multi.yaml"]
     {
         std::fs::copy(source.join(file), folder.path().join("experiments").join(file)).unwrap();
     }
@@ -169,7 +170,10 @@ fn progress_shows_the_loss_before_the_rate_at_every_width() {
         let wide: Vec<_> =
             too_wide(&said, width).into_iter().filter(|line| !line.contains(results)).collect();
         assert!(wide.is_empty(), "at {width}: {wide:#?}");
-        let drawn: Vec<&str> = said.split(['\n', '\r']).filter(|line| line.contains("/90 epochs")).collect();
+        let lines = said.split(['\n', '\r']);
+        // There is no loss before the first epoch.
+        let drawn: Vec<&str> =
+            lines.filter(|line| line.contains("/90 epochs") && !line.contains(" 0/90 epochs")).collect();
         assert!(!drawn.is_empty(), "at {width}: {said}");
         for line in drawn {
             let place = |part: &str| line.find(part).unwrap_or(usize::MAX);
@@ -395,22 +399,32 @@ fn runs_are_listed_in_one_line_each() {
 
 #[test]
 fn a_verdict_is_on_the_line_of_its_scenario_and_value() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let beside = ["--results", "results/reference", "claims", "--all"];
-    // Runs with a chosen setting are those of the claims' own experiments.
-    let all = [&beside[..], &["--where", "action=increment"]].concat();
-    let one = [&all[..], &["forces_are_distal"]].concat();
+    let file = FOLDER.path().join("own_claims.yaml");
+    let claim = |id: &str| {
+        format!(
+            "- id: {id}\n  statement: Links feel forces.\n  measured: mean force, N\n  scenarios: [empty, cluttered]\n  \
+             experiments: [smoke]\n  query: select scenario, episode, avg(mean) as value from forces where episode \
+             is not null group by scenario, episode\n  condition: above -1\n"
+        )
+    };
+    std::fs::write(&file, claim("there_are_forces") + &claim("links_feel_forces")).unwrap();
+    let all = ["claims", "--all", "--file", file.to_str().unwrap()];
+    let one = [&all[..], &["links_feel_forces"]].concat();
     for width in WIDTHS {
-        for arguments in [&all[..], &one[..]] {
-            let said = on_terminal(root, width, arguments);
-            let lines = said.lines().filter(|line| line.contains("0.9791 [0.9742, 0.9840]"));
-            let lines = lines.filter(|line| line.contains("empty") && line.contains("holds"));
-            assert_eq!(lines.count(), 1, "{arguments:?} at {width}: {said}");
+        for (arguments, claims) in [(&all[..], 2), (&one[..], 1)] {
+            let said = on_terminal(FOLDER.path(), width, arguments);
+            for scenario in ["empty", "cluttered"] {
+                let of_scenario =
+                    said.lines().filter(|line| line.contains(scenario) && line.contains("holds"));
+                let with_value = of_scenario.filter(|line| line.contains('[') && line.contains(']'));
+                assert_eq!(with_value.count(), claims, "{scenario} at {width}: {said}");
+            }
+            // The query of a single claim is printed as it is in the file.
+            assert!(claims == 1 || too_wide(&said, width).is_empty(), "at {width}: {said}");
         }
-        for arguments in [&all[..], &beside[..]] {
-            let said = on_terminal(root, width, arguments);
-            assert!(too_wide(&said, width).is_empty(), "at {width}: {said}");
-        }
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let said = on_terminal(root, width, &["--results", "results/reference", "claims", "--all"]);
+        assert!(too_wide(&said, width).is_empty(), "at {width}: {said}");
     }
 }
 

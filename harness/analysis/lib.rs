@@ -513,22 +513,13 @@ impl Analysis {
         self.experiments.get(experiment).map_or(&[], |experiment| &experiment.runs)
     }
 
-    /// The runs that stand for a role under a reading of an experiment: the reading's own or, without any, those of
-    /// another experiment that the reading names.
-    pub fn runs_under(&self, experiment: &harness_spec::Experiment, reading: &str, role: &str) -> Vec<&Run> {
-        let is_own = |run: &&Run| {
+    /// The runs of an experiment in a role under a reading.
+    pub fn runs_under(&self, experiment: &str, reading: &str, role: &str) -> Vec<&Run> {
+        let is_of = |run: &&Run| {
             let spec = &run.record.spec;
             spec.reading() == Some(reading) && spec.role() == Some(role)
         };
-        let own: Vec<&Run> = self.runs(&experiment.name).iter().filter(is_own).collect();
-        let mut named = experiment.readings.iter().filter(|other| other.name == reading);
-        match named.find_map(|reading| reading.runs.get(role)) {
-            Some(others) if own.is_empty() => {
-                let all = self.runs(&others.experiment).iter();
-                all.filter(|run| run.record.spec.variant == others.variant).collect()
-            }
-            _ => own,
-        }
+        self.runs(experiment).iter().filter(is_of).collect()
     }
 
     /// The number of samples per second of all runs that count. `None` if it differs, or if some runs use imported

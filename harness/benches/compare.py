@@ -55,7 +55,7 @@ MODELS = ROOT / "models"
 SAMPLES_PER_EPISODE = 1000
 CORES = report.cores()
 
-# The convolutions of multi_to_multi_best.yaml.
+# The convolutions of the recommended network with a camera.
 DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
 DEEP_STEPS = 8
 # 20 sequences of 50 samples.

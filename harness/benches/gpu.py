@@ -65,7 +65,7 @@ METRIC_COLUMNS = (
     ("card", "text", "", "the GPU"),
 )
 
-# Layers, and options of both training_step programs. The paper's network is that of experiments/paper.yaml.
+# Layers, and options of both training_step programs. The paper's network is that of experiments/reproduction.yaml.
 DEEP = ("--channels", 8, 16, 32, 32, "--fusion", "late", "--hidden", 256, "--latent", 64)
 PAPER = ("--channels", 4, "--hidden", 256, 256, "--latent", 64)
 VECTORS = ("--hidden", 256, "--latent", 4)

@@ -90,25 +90,6 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     values.retain(|_| *kept.next().unwrap_or(&false));
 }
 
-impl Row<'_> {
-    /// The judgment under the base reading.
-    pub fn base(&self) -> &Judgment<'_> {
-        &self.judgments[0]
-    }
-
-    /// The judgments that differ from the base reading's, if one of the two is decided. Each comes with the position
-    /// of its reading in [`Matrix::readings`].
-    pub fn changes(&self) -> impl Iterator<Item = (usize, &Judgment<'_>)> {
-        let base = self.base().verdict();
-        let is_decided = |verdict: &Verdict| matches!(verdict, Verdict::Holds | Verdict::DoesNotHold);
-        self.judgments.iter().enumerate().skip(1).filter(move |(_, judgment)| {
-            let verdict = judgment.verdict();
-            let has_data = verdict != Verdict::NoData && base != Verdict::NoData;
-            has_data && verdict != base && (is_decided(&verdict) || is_decided(&base))
-        })
-    }
-}
-
 /// The runs of an experiment with readings.
 pub struct Readings<'a> {
     spec: &'a Experiment,
@@ -116,23 +97,11 @@ pub struct Readings<'a> {
 }
 
 impl<'a> Readings<'a> {
-    /// Finds the runs of the spec's experiment with these settings, and announces the queries of `claims`.
+    /// Finds those runs of a results folder, `recorded`, that have the spec's name and these settings, and announces
+    /// the queries of `claims`.
     ///
     /// # Errors
     /// When no run has one of the requested settings, or its value.
-    pub fn new(
-        registry: &Registry,
-        spec: &'a Experiment,
-        claims: &[&Claim],
-        settings: &[Setting],
-    ) -> Result<Self, AnalysisError> {
-        Self::of(registry, registry.recorded(), spec, claims, settings)
-    }
-
-    /// Like [`Self::new`], with the runs of a results folder that were read before.
-    ///
-    /// # Errors
-    /// Like [`Self::new`].
     pub fn of(
         registry: &Registry,
         recorded: Vec<Recorded>,
@@ -140,7 +109,7 @@ impl<'a> Readings<'a> {
         claims: &[&Claim],
         settings: &[Setting],
     ) -> Result<Self, AnalysisError> {
-        let experiments = spec.experiments_of_readings();
+        let experiments = vec![spec.name.clone()];
         let (settings, trained) = (settings.to_vec(), experiments.clone());
         let selection = Selection { experiments, settings, simulated: true, trained };
         let mut readings = Self { spec, analysis: Analysis::of(registry, recorded, &selection)? };
@@ -217,7 +186,7 @@ impl<'a> Readings<'a> {
 
     fn judge_under<'c>(&self, claim: &'c Claim, reading: &str) -> Result<Vec<Judgment<'c>>, ClaimsError> {
         let experiments = claim.experiments.iter().map(|role| {
-            let runs = self.analysis.runs_under(self.spec, reading, role);
+            let runs = self.analysis.runs_under(&self.spec.name, reading, role);
             let checked = self.analysis.check_alike(&runs);
             (role.clone(), runs, checked)
         });
@@ -230,7 +199,7 @@ impl<'a> Readings<'a> {
     fn sizes(&self, claim: &Claim, reading: &str) -> Sizes {
         let of = |(role, asked): (&String, &BTreeSet<usize>)| {
             let mut by_dataset: BTreeMap<_, BTreeSet<usize>> = BTreeMap::new();
-            for run in self.analysis.runs_under(self.spec, reading, role) {
+            for run in self.analysis.runs_under(&self.spec.name, reading, role) {
                 let spec = &run.record.spec;
                 let dataset = (&spec.scenario, spec.dataset_seed());
                 by_dataset.entry(dataset).or_default().extend(spec.latent());

@@ -4,8 +4,8 @@ use super::DONE;
 use super::asked::Where;
 use super::format::{Destination, Form, print_page};
 use super::sheet::Style;
-use super::table::{Grid, LINE, fitted, print_command, print_grid, print_text, shown, width};
-use anyhow::{Result, bail};
+use super::table::{Grid, LINE, fitted, print_command, print_grid, print_text, width};
+use anyhow::Result;
 use clap::Args;
 use harness::analysis::{Analysis, Mixed, Setting};
 use harness::claims::{
@@ -13,17 +13,15 @@ use harness::claims::{
     corrected,
 };
 use harness::numbers::{counted, duration, rounded};
-use harness::registry::{Registry, path_word};
-use harness::spec::{self, Experiment, Origin, QUICK, Reading, Scenario};
+use harness::registry::Registry;
+use harness::spec::{Experiment, Origin, QUICK, Scenario};
 use polars::prelude::DataFrame;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// The name of the usual file of claims.
 const CLAIMS: &str = "claims";
-/// The name of the usual spec with readings.
-const READINGS: &str = "readings";
 
 #[derive(Args)]
 pub struct Claims {
@@ -39,12 +37,8 @@ pub struct Claims {
     quick: bool,
     #[command(flatten)]
     runs: Where,
-    /// Judge under each reading that the spec FILE lists, and print which readings change a verdict. Without FILE, the
-    /// spec is the one that the file of --file names, or `readings`
-    #[arg(long, value_name = "FILE", num_args = 0..=1)]
-    readings: Option<Option<PathBuf>>,
     /// Print how many more datasets or seeds would decide the undecided claims, with the commands that run them
-    #[arg(long, conflicts_with_all = ["readings", "format", "output"])]
+    #[arg(long, conflicts_with_all = ["format", "output"])]
     plan: bool,
     /// Print statements, values and requirements of many claims as well, and how often links are touched
     #[arg(long)]
@@ -59,12 +53,6 @@ impl Claims {
         let file = claims::load(&self.file)?;
         let chosen = claims::choose(&file.claims, &self.chosen)?;
         let form = self.to.form()?;
-        if let Some(path) = &self.readings {
-            // The built-in claims name a spec whose readings are judged without the option.
-            let named = file.readings.clone().filter(|_| self.file != Path::new(CLAIMS));
-            let path = path.clone().or(named).unwrap_or_else(|| READINGS.into());
-            return self.execute_readings(registry, &path, &chosen, form);
-        }
         let spec = file.spec_of_readings(registry, self.quick)?;
         registry.check_there()?;
         let recorded = registry.recorded();
@@ -188,7 +176,7 @@ impl Claims {
             print_queries(&claims, self.quick);
         }
         if !is_short {
-            print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
+            print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
         }
         let lacks_runs = |(name, judgments): (&str, Vec<&Judgment>)| {
             name != OWN && judgments.iter().any(|judgment| judgment.verdict() == Verdict::NoData)
@@ -205,37 +193,6 @@ impl Claims {
         print_absent(runs, &own, self.quick)?;
         let left_out = matrix.left_out.iter().flat_map(|claim| &claim.experiments);
         print_commands(runs, lacking(&own).chain(left_out), self.quick);
-        Ok(ExitCode::from(DONE))
-    }
-
-    fn execute_readings(
-        &self,
-        registry: &Registry,
-        path: &Path,
-        chosen: &[&Claim],
-        form: Form,
-    ) -> Result<ExitCode> {
-        let spec = spec::load(path, &[], self.quick)?;
-        if spec.readings.is_empty() {
-            bail!("{} has no readings; name a spec with readings, such as `readings`", shown(path));
-        }
-        registry.check_there()?;
-        let readings = Readings::new(registry, &spec, chosen, &self.runs.settings)?;
-        let matrix = readings.judge(chosen)?;
-        if matrix.rows.is_empty() {
-            let quick = if self.quick { " --quick" } else { "" };
-            let path = path_word(path);
-            bail!(
-                "there are no runs of {}; make them with `{}`",
-                spec.name,
-                registry.command(&format!("run {path}{quick}"))
-            );
-        }
-        if !matches!(form, Form::Page(Style::Text)) {
-            return write_matrix(&matrix, form);
-        }
-        print_matrix(&spec, &matrix);
-        print_contacts(readings.analysis(), &spec.experiments_of_readings())?;
         Ok(ExitCode::from(DONE))
     }
 }
@@ -282,71 +239,6 @@ fn write(mut verdicts: DataFrame, form: Form) -> Result<ExitCode> {
             Ok(ExitCode::from(DONE))
         }
     }
-}
-
-/// A verdict in one character.
-fn symbol(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Holds => "+",
-        Verdict::DoesNotHold => "-",
-        Verdict::Undecided | Verdict::OneValue { .. } | Verdict::Mixed => "?",
-        Verdict::NotTestable => "x",
-        Verdict::NoData => ".",
-    }
-}
-
-/// Prints the verdicts under each reading, the meaning of the signs and numbers, and the choices that change a verdict.
-fn print_matrix(spec: &Experiment, matrix: &Matrix) {
-    let named = |row: &MatrixRow| {
-        let scenario = row.scenario.map_or("", Scenario::name);
-        format!("{} {scenario}", row.claim.id()).trim_end().to_owned()
-    };
-    let longest = matrix.rows.iter().map(|row| named(row).len()).max().unwrap_or_default();
-    let is_narrow = width().is_some_and(|limit| usize::from(limit) < longest + 1 + 2 * matrix.readings.len());
-    let line = |name: &str, cells: Vec<String>| {
-        let cells: String = cells.iter().map(|cell| format!("{cell:>2}")).collect();
-        match is_narrow {
-            true => println!("{name}\n {cells}"),
-            false => println!("{name:longest$} {cells}"),
-        }
-    };
-    line("", (0..matrix.readings.len()).map(|place| place.to_string()).collect());
-    for row in &matrix.rows {
-        line(&named(row), row.judgments.iter().map(|one| symbol(one.verdict()).to_owned()).collect());
-    }
-    println!();
-    print_text("+ holds, - does not hold, ? undecided, x not testable, . no data");
-    println!("\n0 base");
-    for (place, reading) in spec.readings.iter().enumerate() {
-        let Reading { name, choice, base, instead, .. } = reading;
-        print_text(&format!("{} {name}: {choice}: {instead}; in the base: {base}", place + 1));
-    }
-    println!("\nChoices that change a verdict:");
-    let mut changed = 0;
-    for row in &matrix.rows {
-        let value = |judgment: &Judgment| {
-            judgment.interval().map_or("no value".into(), |interval| {
-                format!("{interval}, {}", counted(judgment.measured.datasets(), "dataset"))
-            })
-        };
-        let mut changes = row.changes().peekable();
-        if changes.peek().is_none() {
-            continue;
-        }
-        changed += 1;
-        print_text(&format!("{}: base {}, {}", named(row), row.base().verdict(), value(row.base())));
-        for (place, judgment) in changes {
-            let Reading { choice, instead, .. } = &spec.readings[place - 1];
-            print_text(&format!("  {choice}: {instead}: {}, {}", judgment.verdict(), value(judgment)));
-        }
-    }
-    print_text(&format!(
-        "{} of {} verdicts are the same under every reading; {} claims need runs that no reading has",
-        matrix.rows.len() - changed,
-        matrix.rows.len(),
-        matrix.left_out.len()
-    ));
-    matrix.notes.iter().for_each(|note| print_text(note));
 }
 
 /// Prints the verdict on each claim under each reading side by side, with the values.

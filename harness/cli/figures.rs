@@ -31,14 +31,14 @@ pub struct Figures {
     /// Draw what the figures show of this experiment, of any robot, instead of the paper's experiments
     #[arg(long, value_name = "EXPERIMENT", conflicts_with_all = ["single", "multi", "quick"])]
     experiment: Option<String>,
-    /// Draw this experiment instead of single_to_multi, for example single_to_multi_best
+    /// Draw this experiment instead of single_to_multi, for example my_single
     #[arg(long, value_name = "EXPERIMENT")]
     single: Option<String>,
-    /// Draw this experiment instead of multi_to_multi, for example multi_to_multi_best
+    /// Draw this experiment instead of multi_to_multi, for example my_multi
     #[arg(long, value_name = "EXPERIMENT")]
     multi: Option<String>,
     /// Draw the runs under this reading of an experiment instead of single_to_multi and multi_to_multi, for example
-    /// paper/recommended
+    /// reproduction/base [default: reproduction/recommended, where there are no runs of these]
     #[arg(long, value_name = "EXPERIMENT/READING", conflicts_with_all = ["single", "multi", "experiment"])]
     reading: Option<String>,
     /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
@@ -73,7 +73,7 @@ impl Figures {
         }
         let reading = self.reading.as_ref().map(|text| OfReading::load(text, self.quick)).transpose()?;
         let (single, multi) = (self.single.clone(), self.multi.clone());
-        let shown = Shown { quick: self.quick, single, multi, reading };
+        let shown = Shown { quick: self.quick, single, multi, reading }.or_reproduction(registry)?;
         let analysis = shown.analysis(registry, &self.runs.settings)?;
         for note in analysis.notes() {
             eprintln!("{note}");

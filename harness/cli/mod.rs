@@ -125,7 +125,7 @@ enum Command {
   harness run smoke
   harness run smoke training.epochs=3 'latent=[8,16]'
   harness run multi_to_multi --quick --dry-run    only print what would be done
-  harness run senses --where scenario=cluttered   only the runs with this setting
+  harness run which_sense --where senses=touch    only the runs with this label
 
 An experiment has a run for each scenario, latent size and seed. A run trains a network on simulated episodes, \
 compares its predictions on test episodes with those of baselines, and writes tables to the results folder. The \
@@ -177,7 +177,6 @@ columns. Scripts read csv and json, which have all rows and all digits.")]
   harness claims vision_improves_force    its query, and the value of every seed
   harness claims --quick                  judge by quick runs
   harness claims --plan                   what would decide the undecided claims
-  harness claims --readings               judge under each reading of the paper
   harness claims --output verdicts.csv
   harness claims --format json
 
@@ -350,7 +349,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures
   harness figures prediction_results regression --output paper/figures
   harness figures --quick
-  harness figures propriovision_to_vision --multi multi_to_multi_best
+  harness figures propriovision_to_vision --reading reproduction/base
   harness figures --experiment my_robot
   harness figures horizon --experiment memory --of contact_force
 

@@ -9,7 +9,7 @@ use clap::Args;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::report::Asked;
-use harness::{claims, report, spec};
+use harness::{claims, report};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -24,9 +24,6 @@ pub struct Report {
     /// The file of claims
     #[arg(long, value_name = "FILE", default_value = "claims")]
     claims: PathBuf,
-    /// The spec with the readings under which claims are also judged
-    #[arg(long, value_name = "FILE", default_value = "readings")]
-    readings: PathBuf,
     /// Report on the experiments' quick runs
     #[arg(long)]
     quick: bool,
@@ -47,10 +44,9 @@ impl Report {
     /// Writes the report.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let claims = claims::load(&self.claims)?;
-        let readings = spec::load(&self.readings, &[], self.quick)?;
         registry.check_there()?;
         let asked = Asked { experiments: self.experiments, settings: self.runs.settings, quick: self.quick };
-        let page = report::page(registry, &claims, &readings, &asked, &Bars::default())?;
+        let page = report::page(registry, &claims, &asked, &Bars::default())?;
         write_bytes(&self.output, page.as_bytes())?;
         println!("{}, {}", shown(&self.output), harness::numbers::bytes(page.len() as u64));
         Ok(ExitCode::from(DONE))

@@ -1,10 +1,10 @@
 //! Which experiments the paper's figures show.
 
+use super::reading::OfReading;
 use super::source::{Experiments, Source};
 use harness_analysis::{Analysis, AnalysisError, Selection, Setting};
 use harness_registry::Registry;
-use harness_spec::{Experiment, SpecError, load};
-use std::path::Path;
+use harness_spec::SpecError;
 
 /// The experiments that the paper's figures show.
 #[derive(Debug, Clone, Default)]
@@ -19,82 +19,42 @@ pub struct Shown {
     pub reading: Option<OfReading>,
 }
 
-/// A reading of an experiment: `paper/recommended`.
-#[derive(Debug, Clone)]
-pub struct OfReading {
-    spec: Experiment,
-    reading: String,
-}
-
-/// Why a reading can't be shown.
-#[derive(Debug, thiserror::Error)]
-pub enum ReadingError {
-    /// The text does not name an experiment and a reading.
-    #[error("'{0}' names no reading; write EXPERIMENT/READING, for example paper/recommended")]
-    Form(String),
-    /// The experiment's spec can't be read.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-    /// The experiment has no readings.
-    #[error("{0} has no readings; name an experiment that has, such as paper")]
-    NoReadings(String),
-    /// The experiment has no such reading.
-    #[error("{experiment} has no reading '{wanted}'; its readings are {}", there.join(", "))]
-    Unknown {
-        /// The experiment's name.
-        experiment: String,
-        /// The wanted reading.
-        wanted: String,
-        /// The names of the experiment's readings.
-        there: Vec<String>,
-    },
-}
-
-impl OfReading {
-    /// Reads the spec of a reading that `text` names as `EXPERIMENT/READING`. With `quick`, it is about the quick runs.
+impl Shown {
+    /// The same, with the reading that [`OfReading::instead_of`] names if no experiment is asked for.
     ///
     /// # Errors
-    /// When `text` has another form, the spec can't be read, or it has no such reading.
-    pub fn load(text: &str, quick: bool) -> Result<Self, ReadingError> {
-        let named =
-            text.rsplit_once('/').filter(|(experiment, wanted)| !experiment.is_empty() && !wanted.is_empty());
-        let (experiment, wanted) = named.ok_or_else(|| ReadingError::Form(text.to_owned()))?;
-        let spec = load(Path::new(experiment), &[], quick)?;
-        if spec.readings.is_empty() {
-            return Err(ReadingError::NoReadings(experiment.to_owned()));
+    /// When the spec of the reading can't be read.
+    pub fn or_reproduction(self, registry: &Registry) -> Result<Self, SpecError> {
+        match (&self.single, &self.multi, &self.reading) {
+            (None, None, None) => {
+                let paper = Experiments::of_the_paper(self.quick).names();
+                let reading = OfReading::instead_of(&paper, registry, self.quick)?;
+                Ok(Self { reading, ..self })
+            }
+            _ => Ok(self),
         }
-        let there: Vec<String> = spec.names_of_readings().into_iter().map(str::to_owned).collect();
-        if !there.iter().any(|name| name == wanted) {
-            let (experiment, wanted) = (experiment.to_owned(), wanted.to_owned());
-            return Err(ReadingError::Unknown { experiment, wanted, there });
-        }
-        Ok(Self { spec, reading: wanted.to_owned() })
     }
-}
 
-impl Shown {
     /// Finds the finished runs that the figures show.
     ///
     /// # Errors
     /// When no run has one of the settings, or its value.
     pub fn analysis(&self, registry: &Registry, settings: &[Setting]) -> Result<Analysis, AnalysisError> {
-        let standing = self.reading.iter().flat_map(|of| of.spec.experiments_of_readings());
-        let experiments: Vec<String> = self.experiments().all().into_iter().chain(standing).collect();
+        let experiments = self.experiments().all();
         let (settings, trained) = (settings.to_vec(), experiments.clone());
         Analysis::new(registry, &Selection { experiments, settings, simulated: true, trained })
     }
 
     /// The source of the figures, of the runs that [`Self::analysis`] found.
     pub fn source<'a>(&'a self, analysis: &'a Analysis) -> Source<'a> {
-        let reading = self.reading.as_ref().map(|of| (&of.spec, of.reading.as_str()));
-        Source::new(analysis, self.experiments()).under(reading)
+        Source::new(analysis, self.experiments()).under(self.reading.as_ref())
     }
 
     fn experiments(&self) -> Experiments {
         let paper = Experiments::of_the_paper(self.quick);
-        let of_reading = self.reading.as_ref().map(|of| &of.spec.name);
+        let of_reading = self.reading.as_ref().map(OfReading::experiment);
         let instead =
-            |own: &Option<String>, usual: String| of_reading.or(own.as_ref()).cloned().unwrap_or(usual);
+            |own: &Option<String>, usual: String| of_reading.or(own.as_deref()).map_or(usual, str::to_owned);
         Experiments {
             single_to_multi: instead(&self.single, paper.single_to_multi.clone()),
             multi_to_multi: instead(&self.multi, paper.multi_to_multi.clone()),

@@ -1,8 +1,9 @@
 //! The runs of the paper's experiments and their tables, from which figures are drawn.
 
 use super::FigureError;
+use super::reading::OfReading;
 use harness_analysis::{Analysis, AnalysisError, Labels, Run, Setting};
-use harness_spec::{Experiment, Layout, Modality, Origin, QUICK, RunSpec};
+use harness_spec::{Layout, Modality, Origin, QUICK, RunSpec};
 use polars::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -63,7 +64,7 @@ impl Experiments {
         Self {
             single_to_multi: name(Study::SingleToMulti.name()),
             multi_to_multi: name(Study::MultiToMulti.name()),
-            horizons: name("memory"),
+            horizons: name("history"),
         }
     }
 
@@ -94,13 +95,15 @@ impl Experiments {
 
 /// The runs that an analysis selects, grouped by study.
 pub struct Source<'a> {
-    pub(super) analysis: &'a Analysis,
-    pub(super) experiments: Experiments,
+    /// The runs that count.
+    pub analysis: &'a Analysis,
+    /// The names of the experiments whose runs are drawn.
+    pub experiments: Experiments,
     pub(super) modality: Option<String>,
     /// The variant of the runs that are drawn; `None` for all runs.
     pub(super) variant: Option<String>,
-    /// The spec and the name of the reading whose runs stand for the studies; `None` for the experiments' runs.
-    reading: Option<(&'a Experiment, &'a str)>,
+    /// The reading whose runs stand for the studies; `None` for the experiments' runs.
+    reading: Option<&'a OfReading>,
 }
 
 /// The runs of a study. They differ only in scenario, latent size and seed.
@@ -109,7 +112,7 @@ pub struct Runs<'a> {
     /// The experiment's name.
     pub experiment: String,
     /// The variant of the runs, if they were selected by it.
-    pub(super) variant: Option<String>,
+    pub variant: Option<String>,
     /// The runs, sorted by scenario, latent size and seed.
     pub all: Vec<&'a Run>,
 }
@@ -129,9 +132,8 @@ impl<'a> Source<'a> {
         Self { analysis, experiments, modality: None, variant: None, reading: None }
     }
 
-    /// The same source, in which the runs of each study are those that stand for the study's role under this reading of
-    /// a spec.
-    pub(super) fn under(self, reading: Option<(&'a Experiment, &'a str)>) -> Self {
+    /// The same source, in which the runs of each study are those in the study's role under this reading.
+    pub fn under(self, reading: Option<&'a OfReading>) -> Self {
         Self { reading, ..self }
     }
 
@@ -153,14 +155,14 @@ impl<'a> Source<'a> {
     /// can't be shown in one figure; the message names the settings in which they differ.
     pub fn runs(&self, study: Study) -> Result<Runs<'a>, FigureError> {
         let experiment = self.experiments.of(study);
-        let Some((spec, reading)) = self.reading else {
+        let Some(of) = self.reading else {
             return self.runs_of(experiment, self.variant.as_deref());
         };
-        match self.analysis.runs_under(spec, reading, study.name()).first() {
+        match self.analysis.runs_under(of.experiment(), of.reading(), study.name()).first() {
             Some(run) => self.runs_of(&run.record.experiment, Some(&run.record.spec.variant)),
             None => Err(FigureError::NoRole {
                 experiment: experiment.to_owned(),
-                reading: reading.to_owned(),
+                reading: of.reading().to_owned(),
                 role: study.name(),
                 command: command(self.analysis, experiment),
             }),

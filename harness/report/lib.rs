@@ -1,4 +1,4 @@
-//! Makes the report: an HTML page with scenes, claims, readings, figures, charts, training curves and runs.
+//! Makes the report: an HTML page with scenes, claims, figures, charts, training curves and runs.
 //!
 //! The page is about all results, or about some experiments ([`Asked`]). A page of some experiments has parts that
 //! know any robot: what it senses, its metrics beside baselines, predictions along an episode, and images. It is one
@@ -19,7 +19,6 @@ mod joints;
 mod means;
 mod modalities;
 mod predictions;
-mod readings;
 mod regression;
 mod runs;
 mod subjects;
@@ -33,11 +32,11 @@ use harness_analysis::{Analysis, AnalysisError, Selection, Setting, has_settings
 use harness_catalog::QueryError;
 use harness_claims::{self as claims, Claim, ClaimsError, ClaimsFile};
 use harness_figures::source::{Experiments, Source};
-use harness_figures::{FORCES_SQL, FigureError};
+use harness_figures::{FORCES_SQL, FigureError, OfReading};
 use harness_registry::{Registry, RunRecord, Status, quoted};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
-use harness_spec::{Experiment, QUICK, Scenario, SpecError};
+use harness_spec::{QUICK, Scenario, SpecError};
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
@@ -173,18 +172,18 @@ impl Asked {
         all.iter().filter(is_decided).collect()
     }
 
-    /// The runs that count, which `claims` and `readings` need too.
+    /// The runs that count, which the claims and the figures need too.
     fn analysis(
         &self,
         registry: &Registry,
         claims: &[&Claim],
-        readings: &Experiment,
+        reading: Option<&OfReading>,
     ) -> Result<Analysis, AnalysisError> {
         let quick = self.is_quick();
         let analysis = if self.experiments.is_empty() {
             let mut selection = claims::selection(claims, &self.settings, quick);
-            let of_the_paper =
-                Experiments::of_the_paper(quick).names().into_iter().chain([readings.name.clone()]);
+            let of_reading = reading.map(|reading| reading.experiment().to_owned());
+            let of_the_paper = Experiments::of_the_paper(quick).names().into_iter().chain(of_reading);
             let of_the_paper: Vec<String> = of_the_paper.collect();
             selection.experiments.extend(of_the_paper.iter().cloned());
             selection.trained.extend(of_the_paper);
@@ -269,8 +268,6 @@ struct Page {
     /// Why predictions along an episode are missing.
     course_absent: BTreeSet<Absent>,
     verdicts: verdicts::Verdicts,
-    /// `None` if the page is not about the experiment of the readings.
-    readings: Option<Part<readings::Readings>>,
     figures: Vec<figures::Drawn>,
     experiments: Vec<runs::Experiment>,
     /// Why results by joint and link are missing.
@@ -313,7 +310,6 @@ struct Data {
 /// # Arguments
 /// * `registry`: the runs of the results folder
 /// * `file`: the statements to judge. On a page of all results, they are also judged by the readings that it names
-/// * `readings`: the experiment with the readings of the paper, under which the claims are also judged
 /// * `asked`: the experiments and runs that the page is about
 /// * `progress`: shows how far the work is
 ///
@@ -323,19 +319,22 @@ struct Data {
 pub fn page(
     registry: &Registry,
     file: &ClaimsFile,
-    readings: &Experiment,
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
     let others = Others::of(registry);
     let asked = &asked.resolved(&others);
-    let (all_claims, claims): (Vec<&Claim>, _) = (file.claims.iter().collect(), asked.claims(&file.claims));
+    let claims = asked.claims(&file.claims);
     let quick = asked.is_quick();
-    let analysis = asked.analysis(registry, &claims, readings)?;
-    let studies = subjects::studies(&analysis, asked);
-    let (subjects, too_many) = subjects::subjects(&analysis, asked, &studies);
+    let reading = match asked.experiments.is_empty() {
+        true => OfReading::instead_of(&Experiments::of_the_paper(quick).names(), registry, quick)?,
+        false => None,
+    };
+    let analysis = asked.analysis(registry, &claims, reading.as_ref())?;
+    let studies = subjects::studies(&analysis, asked, reading.as_ref());
     let scenarios = subjects::scenarios(&analysis, asked);
-    let source = Source::new(&analysis, studies);
+    let source = Source::new(&analysis, studies).under(reading.as_ref());
+    let (subjects, too_many) = subjects::subjects(&source, asked);
     let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
     let is_about_all = asked.experiments.is_empty() && asked.settings.is_empty();
     let families = match is_about_all {
@@ -343,10 +342,6 @@ pub fn page(
         false => None,
     };
     let verdicts = verdicts::Verdicts::of(registry, &analysis, &claims, families.as_ref(), quick)?;
-    let readings = match asked.has(&readings.name) {
-        true => Some(readings::of(registry, &analysis, readings, &all_claims, asked)?),
-        false => None,
-    };
     let experiments = runs::experiments(registry, asked);
     let (clips, frames) = clips(&scenarios, &analysis, asked, progress)?;
     let (joints, joints_absent) = joints::series(&source, &subjects, asked)?;
@@ -407,7 +402,6 @@ pub fn page(
         images_absent,
         course_absent,
         verdicts,
-        readings,
         figures,
         experiments,
         joints_absent,

@@ -483,7 +483,7 @@ function showTraining(place) {
   let charts = [];
   const legend = new Legend(hidden, () => charts.forEach((chart) => chart.hideSeries()));
   const studies = distinct(data.training.map((row) => row.experiment));
-  const wanted = ["multi_to_multi_best", "multi_to_multi", "single_to_multi"];
+  const wanted = ["multi_to_multi", "single_to_multi"];
   const first = wanted.flatMap((study) => studies.filter((name) => name === study || name === `${study}-quick`))[0];
   const fields = [
     { key: "experiment", label: "Experiment", first },

@@ -2,8 +2,8 @@
 
 use super::{Absent, Asked, Part, part};
 use harness_analysis::{Analysis, Labels, Run};
-use harness_figures::FigureError;
 use harness_figures::source::{Experiments, Runs, Source, Study, input_words, variants};
+use harness_figures::{FigureError, OfReading};
 use harness_metrics::Direction;
 use harness_spec::{Definition, Modality, Origin, Scenario};
 use std::collections::BTreeSet;
@@ -25,9 +25,13 @@ pub struct Subject {
 }
 
 /// The experiments that stand for the paper's two in figures. On a page of some experiments, a study whose own
-/// experiment is not among them is replaced by the first one whose networks have exactly the study's inputs.
-pub fn studies(analysis: &Analysis, asked: &Asked) -> Experiments {
+/// experiment is not among them is replaced by the first one whose networks have exactly the study's inputs. A reading
+/// stands for both.
+pub fn studies(analysis: &Analysis, asked: &Asked, reading: Option<&OfReading>) -> Experiments {
     let paper = Experiments::of_the_paper(asked.is_quick());
+    if let Some(reading) = reading {
+        return Experiments { horizons: paper.horizons, ..Experiments::all_of(reading.experiment()) };
+    }
     let name = |study: Study| {
         let own = paper.of(study);
         if asked.experiments.iter().any(|name| name == own) {
@@ -47,17 +51,20 @@ pub fn studies(analysis: &Analysis, asked: &Asked) -> Experiments {
 
 /// What is shown: the asked experiments with all their vectors, each variant by itself, or the paper's two with joint
 /// angles and contact forces. The second value has a remark for each experiment with too many variants.
-pub fn subjects(analysis: &Analysis, asked: &Asked, studies: &Experiments) -> (Vec<Subject>, Vec<String>) {
+pub fn subjects(source: &Source, asked: &Asked) -> (Vec<Subject>, Vec<String>) {
+    let analysis = source.analysis;
     if asked.experiments.is_empty() {
         // The paper's parts compare finger with finger.
-        let own = Study::BOTH.map(|study| (study.name(), studies.of(study))).into_iter();
-        let own = own.filter(|(_, experiment)| has_finger(analysis, experiment));
-        let subject = |(name, experiment): (&str, &str)| Subject {
-            name: name.to_owned(),
-            experiment: experiment.to_owned(),
-            variant: None,
-            words: analysis.runs(experiment).first().map_or_else(|| experiment.to_owned(), of_input),
-            modalities: BTreeSet::from([Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE]),
+        let own = Study::BOTH.into_iter().filter(|study| has_finger(analysis, source.experiments.of(*study)));
+        let subject = |study: Study| {
+            let (experiment, runs) = (source.experiments.of(study), source.runs(study).ok());
+            Subject {
+                name: study.name().to_owned(),
+                experiment: experiment.to_owned(),
+                words: runs.as_ref().map_or_else(|| experiment.to_owned(), Runs::input),
+                modalities: BTreeSet::from([Modality::PROPRIOCEPTION, Modality::CONTACT_FORCE]),
+                variant: runs.and_then(|runs| runs.variant),
+            }
         };
         return (own.map(subject).collect(), Vec::new());
     }

@@ -3,8 +3,8 @@
 use super::ReportError;
 use harness_analysis::{Analysis, Mixed};
 use harness_claims::{
-    Claim, Condition, Contacts, Counts, Each, Judgment, Matrix, Readings, Verdict, contacts, corrected,
-    described, judge,
+    Claim, Condition, Contacts, Counts, Each, Judgment, Matrix, MatrixRow, Readings, Verdict, contacts,
+    corrected, described, judge,
 };
 use harness_registry::Registry;
 use harness_shared::numbers::{counted, rounded};
@@ -158,7 +158,8 @@ struct Families<'a> {
 
 impl<'a> Families<'a> {
     fn of(registry: &Registry, claims: &[&'a Claim], spec: &'a Experiment) -> Result<Self, ReportError> {
-        let matrix = Readings::new(registry, spec, claims, &[])?.judge(claims)?.without_empty();
+        let matrix =
+            Readings::of(registry, registry.recorded(), spec, claims, &[])?.judge(claims)?.without_empty();
         let places = 0..matrix.readings.len();
         let corrected = places.map(|place| corrected(matrix.column(place))).collect();
         Ok(Self { spec, matrix, corrected })
@@ -175,9 +176,8 @@ impl<'a> Families<'a> {
 
     /// The judgments under the readings of the same claim in the same scenario that have runs.
     fn beside(&self, own: &Judgment) -> Vec<Beside> {
-        let is_same =
-            |judgment: &Judgment| judgment.claim.id() == own.claim.id() && judgment.scenario == own.scenario;
-        let Some(row) = self.matrix.rows.iter().position(|row| is_same(row.base())) else {
+        let is_same = |row: &MatrixRow| row.claim.id() == own.claim.id() && row.scenario == own.scenario;
+        let Some(row) = self.matrix.rows.iter().position(is_same) else {
             return Vec::new();
         };
         let names = self.matrix.readings.iter().zip(&self.matrix.rows[row].judgments).zip(&self.corrected);

@@ -12,8 +12,8 @@ use crate::layout::{GivenScaling, Layout, Modality, Scaling, Scalings};
 use crate::yaml::{Entry, Node, Place};
 use serde_json::Value as Json;
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::collections::hash_map;
-use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
@@ -129,14 +129,6 @@ impl Experiment {
         std::iter::once(Reading::BASE)
             .chain(self.readings.iter().map(|reading| reading.name.as_str()))
             .collect()
-    }
-
-    /// Returns the names of the experiments whose runs stand for the readings: its own name, then those that the
-    /// readings name.
-    pub fn experiments_of_readings(&self) -> Vec<String> {
-        let others = self.readings.iter().flat_map(|reading| reading.runs.values());
-        let others: BTreeSet<&String> = others.map(|runs| &runs.experiment).collect();
-        std::iter::once(&self.name).chain(others).cloned().collect()
     }
 
     /// Whether the experiment has axes, whose settings change its own.

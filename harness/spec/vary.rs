@@ -6,8 +6,6 @@ use crate::yaml::{Entry, Node, Problem, Value, unknown};
 
 /// Key of the axes in which runs differ.
 pub(super) const VARY: &str = "vary";
-/// Name of the axis whose labels claims compare under `readings`.
-pub(super) const ROLE: &str = "role";
 /// The setting that distinguishes the folds of a recording, each of which is like a dataset of its own.
 pub(super) const FOLD: &str = "split.fold";
 /// The setting whose list of values is short for an axis.

@@ -493,7 +493,7 @@ def figures(
         quick: draws the quick runs of the experiments.
         single: the experiment to draw instead of `single_to_multi`.
         multi: the experiment to draw instead of `multi_to_multi`.
-        reading: the reading of an experiment to draw instead of both, such as `paper/recommended`.
+        reading: the reading of an experiment to draw instead of both, such as `reproduction/base`.
         experiment: draws what the figures show of this experiment, of any robot, instead of the paper's experiments.
         of: the modality that `horizon` shows, or the part of it with one unit, such as `joints in rad`.
         where: settings that the runs must have, by dotted key, as in `answer`.
@@ -586,7 +586,6 @@ def report(
     *experiments: str,
     output: str | os.PathLike[str] = "report.html",
     claims: str | os.PathLike[str] = "claims",
-    readings: str | os.PathLike[str] = "readings",
     quick: bool = False,
     where: Mapping[str, Any] | None = None,
     results: str | os.PathLike[str] = "results",
@@ -600,7 +599,6 @@ def report(
         experiments: names of experiments; all results by default.
         output: the file to write.
         claims: the file of claims.
-        readings: the spec with the readings of the paper.
         quick: uses the quick runs of the experiments.
         where: settings that the runs must have, as in `compare`.
         results: the folder of datasets and runs.
@@ -611,7 +609,7 @@ def report(
 
     Raises:
         KeyError: one of the named experiments has no finished runs.
-        FileNotFoundError: there is no results folder, no file of claims, or no spec of readings.
+        FileNotFoundError: there is no results folder or no file of claims.
         ValueError: the file of claims or the spec is wrong.
         OSError: the page can't be written.
         RuntimeError: a table is damaged.
@@ -621,7 +619,7 @@ def report(
         PosixPath('smoke.html')
     """
     chosen, settings = _names("experiments", experiments), _settings(where)
-    _harness.report(chosen, Path(output), Path(claims), Path(readings), quick, settings, Path(results), progress)
+    _harness.report(chosen, Path(output), Path(claims), quick, settings, Path(results), progress)
     return Path(output)
 
 
@@ -660,7 +658,7 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
     """Loads the trained network of a finished run.
 
     The recommended networks of the worlds `empty` and `cluttered` are part of the package. They are used if the results
-    folder has no such network: `multi_to_multi_best/empty` and `multi_to_multi_best/cluttered`.
+    folder has no such network: `recommended/empty` and `recommended/cluttered`.
 
     Args:
         run: the beginning of the run's id, or of `EXPERIMENT/ID`, such as `smoke/empty`. It must match a single run.
@@ -678,7 +676,7 @@ def load_model(run: str, results: str | os.PathLike[str] = "results") -> Model:
     Example:
         >>> harness.load_model("smoke/empty-z4")
         <harness.Model smoke/empty-z4-...: proprioception, vision to proprioception, contact_force, ..., latent 4>
-        >>> harness.load_model("multi_to_multi_best/cluttered").latent
+        >>> harness.load_model("recommended/cluttered").latent
         64
     """
     return Model(run, _folder_of(run, results))

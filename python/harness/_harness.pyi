@@ -76,7 +76,6 @@ def report(
     experiments: list[str],
     output: Path,
     claims: Path,
-    readings: Path,
     quick: bool,
     settings: list[str],
     results: Path,

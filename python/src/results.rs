@@ -49,8 +49,8 @@ pub fn claims(
         if let Some(reading) = &reading {
             let spec = all.spec_of_readings(&registry, quick).map_err(Raise::raise)?;
             let spec = spec.ok_or_else(|| PyValueError::new_err(no_readings(&all, &registry, quick)))?;
-            let readings = Readings::new(&registry, &spec, &chosen, &settings).map_err(Raise::raise)?;
-            let matrix = readings.judge(&chosen).map_err(refused)?;
+            let readings = Readings::of(&registry, registry.recorded(), &spec, &chosen, &settings);
+            let matrix = readings.map_err(Raise::raise)?.judge(&chosen).map_err(refused)?;
             let place = matrix.readings.iter().position(|name| name == reading).ok_or_else(|| {
                 let there = matrix.readings.join(", ");
                 PyValueError::new_err(format!("no reading is called '{reading}'; the readings are {there}"))
@@ -108,7 +108,7 @@ pub fn figures(
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
     let reading = reading.map(|text| OfReading::load(&text, quick));
     let reading = reading.transpose().map_err(|error| PyValueError::new_err(describe(&error)))?;
-    let shown = Shown { quick, single, multi, reading };
+    let shown = Shown { quick, single, multi, reading }.or_reproduction(&registry).map_err(Raise::raise)?;
     let draw = || -> Result<Drawn, AnalysisError> {
         let analysis = match &experiment {
             Some(name) => Analysis::finished(&registry, std::slice::from_ref(name), &settings)?,
@@ -241,7 +241,6 @@ pub fn report(
     experiments: Vec<String>,
     output: PathBuf,
     claims: PathBuf,
-    readings: PathBuf,
     quick: bool,
     settings: Vec<String>,
     results: PathBuf,
@@ -252,9 +251,8 @@ pub fn report(
     let listener = Listener::new(progress, &cancelled);
     let write = || -> PyResult<()> {
         let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
-        let readings = harness::spec::load(&readings, &[], quick).map_err(Raise::raise)?;
         let asked = harness::report::Asked { experiments, settings, quick };
-        let page = harness::report::page(&registry, &claims, &readings, &asked, &listener);
+        let page = harness::report::page(&registry, &claims, &asked, &listener);
         let page = page.map_err(|error| match error {
             ReportError::Analysis(error) => error.raise(),
             ReportError::Claims(error) => refused(error),

@@ -90,8 +90,7 @@ pub fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// Copies the published runs to a new results folder of this name, but for those of some experiments. The largest are
-/// `readings`, `paper` and `memory`, which hold two thirds of the bytes.
+/// Copies the published runs to a new results folder of this name, but for those of some experiments.
 pub fn published_without(experiments: &[&str], name: &str) -> PathBuf {
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference/runs");
     let results = fresh(name);

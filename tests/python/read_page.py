@@ -31,7 +31,7 @@ PATIENCE_S = 300
 
 DESKTOP = (1280, 900)
 PHONE = (360, 740)
-SECTIONS = ["scenes", "claims", "readings", "joints", "regression", "figures", "training", "runs"]
+SECTIONS = ["scenes", "claims", "joints", "regression", "figures", "training", "runs"]
 
 
 def start(options: webdriver.ChromeOptions, driver: str) -> webdriver.Chrome:

@@ -92,7 +92,6 @@ def library(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(results, folder)
     shutil.copytree(ROOT / "results/reference/runs", folder / "runs", dirs_exist_ok=True)
     shutil.copytree(ROOT / "results/reference", folder / "reference")
-    shutil.copytree(ROOT / "results/published", folder / "published")
     return folder
 
 

@@ -14,7 +14,7 @@ import harness
 from harness import recorded
 from harness.export.runs import Run, read_runs
 
-EXPERIMENTS = ("single_to_multi", "multi_to_multi", "multi_to_multi_best")
+EXPERIMENTS = ("which_sense", "recommended", "oracle")
 
 
 BLANK = "sha256-seal:" + "-" * 64
@@ -69,7 +69,7 @@ def test_further_rows_change_no_answer(folders: tuple[Path, Path], tmp_path: Pat
         assert len(expected) > 0 and expected.equals(found)
 
     same(lambda results: harness.compare(results=results))
-    same(lambda results: harness.compare("multi_to_multi", where={"latent": 64}, results=results))
+    same(lambda results: harness.compare("recommended", where={"latent": 64}, results=results))
     same(lambda results: harness.claims(file=ROOT / "experiments/claims.yaml", results=results))
     tables = {
         "runs": "run",
@@ -80,10 +80,12 @@ def test_further_rows_change_no_answer(folders: tuple[Path, Path], tmp_path: Pat
     for table, order in tables.items():
         same(lambda results: harness.query(f"select * from {table} order by experiment, {order}", results))
     axes = {"x": "latent", "metrics": "r2", "by": "modality", "facet": "scenario", "output": tmp_path / "plot.csv"}
-    same(lambda results: pl.read_csv(harness.plot("multi_to_multi", results=results, **axes)))
+    same(lambda results: pl.read_csv(harness.plot("recommended", results=results, **axes)))
     for name in ("prediction_results", "regression"):
         drawn = [
-            harness.figures(name, folder=tmp_path, formats="csv", results=results)[0].read_text()
+            harness.figures(
+                name, experiment="recommended", folder=tmp_path, formats="csv", results=results
+            )[0].read_text()
             for results in folders
         ]
         assert drawn[0] == drawn[1] and drawn[0].count("\n") > 3
@@ -92,7 +94,7 @@ def test_further_rows_change_no_answer(folders: tuple[Path, Path], tmp_path: Pat
 
 def test_trackers_get_further_rows_under_names_of_their_own(folders: tuple[Path, Path]) -> None:
     def metrics(results: Path) -> list[dict[str, float]]:
-        return [Run.metrics(run) for run in read_runs(["multi_to_multi_best"], None, results)]
+        return [Run.metrics(run) for run in read_runs(["recommended"], None, results)]
 
     for usual, every in zip(*map(metrics, folders), strict=True):
         assert len(usual) > 50 and usual.items() <= every.items()

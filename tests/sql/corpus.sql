@@ -696,13 +696,13 @@ select experiment, run, max(epoch) as last from epochs where task = 'prediction'
 with e as (select experiment, run, epoch, row_number() over (partition by experiment, run order by value, epoch) as place, max(epoch) over (partition by experiment, run) as last from epochs where task = 'prediction' and split = 'validation' and term = 'total') select experiment, avg(last - epoch) as early, min(last - epoch) as least, max(last - epoch) as most from e where place = 1 group by experiment
 
 -- agree: the gap between training and validation
-select t.experiment, t.run, t.epoch, v.value - t.value as gap from epochs t join epochs v on v.experiment = t.experiment and v.run = t.run and v.task = t.task and v.epoch = t.epoch and v.term = t.term where t.split = 'train' and v.split = 'validation' and t.term = 'total' and t.task = 'prediction' and t.experiment = 'single_to_multi'
+select t.experiment, t.run, t.epoch, v.value - t.value as gap from epochs t join epochs v on v.experiment = t.experiment and v.run = t.run and v.task = t.task and v.epoch = t.epoch and v.term = t.term where t.split = 'train' and v.split = 'validation' and t.term = 'total' and t.task = 'prediction' and t.experiment = 'which_sense'
 
 -- agree: both losses beside each other, by case
-select experiment, run, epoch, max(case when split = 'train' then value end) as train, max(case when split = 'validation' then value end) as validation from epochs where term = 'total' and task = 'prediction' and experiment = 'choose_hidden' group by experiment, run, epoch order by experiment, run, epoch
+select experiment, run, epoch, max(case when split = 'train' then value end) as train, max(case when split = 'validation' then value end) as validation from epochs where term = 'total' and task = 'prediction' and experiment = 'missing' group by experiment, run, epoch order by experiment, run, epoch
 
 -- agree: both losses beside each other, by filter
-select experiment, run, epoch, max(value) filter (where split = 'train') as train, max(value) filter (where split = 'validation') as validation from epochs where term = 'total' and task = 'prediction' and experiment = 'choose_action' group by experiment, run, epoch
+select experiment, run, epoch, max(value) filter (where split = 'train') as train, max(value) filter (where split = 'validation') as validation from epochs where term = 'total' and task = 'prediction' and experiment = 'missing' group by experiment, run, epoch
 
 -- agree: the ratio of the losses at the end
 with last as (select experiment, run, max(epoch) as epoch from epochs where task = 'prediction' group by experiment, run) select e.experiment, e.run, max(case when split = 'validation' then value end) / nullif(max(case when split = 'train' then value end), 0) as ratio from epochs e join last l on l.experiment = e.experiment and l.run = e.run and l.epoch = e.epoch where e.task = 'prediction' and e.term = 'total' group by e.experiment, e.run
@@ -723,7 +723,7 @@ select experiment, run, task, epoch from (select experiment, run, task, epoch, s
 with e as (select experiment, run, epoch, value, lag(value) over (partition by experiment, run order by epoch) as before from epochs where task = 'prediction' and split = 'validation' and term = 'total') select experiment, run, sum(case when value < before then 1 else 0 end) as better, sum(case when value > before then 1 else 0 end) as worse from e group by experiment, run
 
 -- agree: the best value so far
-select experiment, run, epoch, value, min(value) over (partition by experiment, run order by epoch rows between unbounded preceding and current row) as best from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'choose_kl_weight'
+select experiment, run, epoch, value, min(value) over (partition by experiment, run order by epoch rows between unbounded preceding and current row) as best from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'choose_recommended' and variant like 'change=episodes_%'
 
 -- agree: the epochs at which a run was best so far
 select experiment, run, epoch from (select experiment, run, epoch, value, min(value) over (partition by experiment, run order by epoch) as best from epochs where task = 'prediction' and split = 'validation' and term = 'total') e where value = best and experiment like 'choose%'
@@ -738,19 +738,19 @@ select experiment, run, min(epoch) as first from epochs where task = 'prediction
 select r.experiment, r.run from runs r left join (select distinct experiment, run from epochs where split = 'validation' and term = 'total' and task = 'prediction' and value < 0.6) e on e.experiment = r.experiment and e.run = r.run where e.run is null
 
 -- agree: every tenth epoch
-select experiment, run, epoch, value from epochs where epoch % 10 = 0 and split = 'validation' and term = 'total' and task = 'prediction' and experiment = 'multi_to_multi'
+select experiment, run, epoch, value from epochs where epoch % 10 = 0 and split = 'validation' and term = 'total' and task = 'prediction' and experiment = 'recommended'
 
 -- agree: means of ten epochs each
-select experiment, run, floor((epoch - 1) / 10) * 10 + 1 as first, avg(value) as mean, count(*) as n from epochs where split = 'validation' and term = 'total' and task = 'prediction' and experiment = 'multi_to_multi' group by experiment, run, floor((epoch - 1) / 10)
+select experiment, run, floor((epoch - 1) / 10) * 10 + 1 as first, avg(value) as mean, count(*) as n from epochs where split = 'validation' and term = 'total' and task = 'prediction' and experiment = 'recommended' group by experiment, run, floor((epoch - 1) / 10)
 
 -- agree: curves averaged over seeds
-select scenario, latent, epoch, avg(value) as mean, stddev(value) as deviation, count(*) as n from epochs where experiment = 'single_to_multi' and split = 'validation' and term = 'total' and task = 'prediction' group by scenario, latent, epoch order by scenario, latent, epoch
+select scenario, latent, epoch, avg(value) as mean, stddev(value) as deviation, count(*) as n from epochs where experiment = 'which_sense' and split = 'validation' and term = 'total' and task = 'prediction' group by scenario, latent, epoch order by scenario, latent, epoch
 
 -- agree: the standard error over seeds
-select scenario, latent, stddev(value) / sqrt(count(*)) as error from metrics where experiment = 'single_to_multi' and task = 'prediction' and model = 'network' and modality = 'contact_force' and metric = 'r2' and index is null and direction is null group by scenario, latent having count(*) > 1
+select scenario, latent, stddev(value) / sqrt(count(*)) as error from metrics where experiment = 'which_sense' and task = 'prediction' and model = 'network' and modality = 'contact_force' and metric = 'r2' and index is null and direction is null group by scenario, latent having count(*) > 1
 
 -- agree: an interval of two standard errors
-select latent, avg(value) as mean, avg(value) - 2 * stddev(value) / sqrt(count(value)) as low, avg(value) + 2 * stddev(value) / sqrt(count(value)) as high from metrics where experiment = 'multi_to_multi' and task = 'prediction' and model = 'network' and metric = 'wmape' and index is null and direction is null and modality = 'contact_force' group by latent order by latent
+select latent, avg(value) as mean, avg(value) - 2 * stddev(value) / sqrt(count(value)) as low, avg(value) + 2 * stddev(value) / sqrt(count(value)) as high from metrics where experiment = 'recommended' and task = 'prediction' and model = 'network' and metric = 'wmape' and index is null and direction is null and modality = 'contact_force' group by latent order by latent
 
 -- agree: metrics of runs by their settings
 select r.architecture, r.split, m.metric, avg(m.value) as mean, count(distinct r.run) as runs from runs r join metrics m on m.experiment = r.experiment and m.run = r.run where m.model = 'network' and m.index is null and m.direction is null group by r.architecture, r.split, m.metric
@@ -771,10 +771,10 @@ select experiment, run, modality, max(value) filter (where model = 'network') as
 with m as (select experiment, run, modality, max(case when model = 'network' then value end) as network, max(case when model = 'persistence' then value end) as persistence from metrics where task = 'prediction' and metric = 'r2' and index is null and direction is null group by experiment, run, modality) select experiment, modality, count(*) as n, sum(case when network > persistence then 1 else 0 end) as better, avg(network - persistence) as gain from m group by experiment, modality
 
 -- agree: the gain by vision, by a join of two inputs
-with v as (select scenario, latent, seed, input, value from metrics where experiment in ('single_to_multi', 'multi_to_multi') and task = 'prediction' and model = 'network' and modality = 'contact_force' and metric = 'wmape' and index is null and direction is null) select a.scenario, a.latent, a.seed, a.value - b.value as gain from v a join v b on a.scenario = b.scenario and a.latent = b.latent and a.seed = b.seed where a.input = 'proprioception' and b.input like '%vision%'
+with v as (select scenario, latent, seed, input, value from metrics where experiment in ('which_sense', 'recommended') and task = 'prediction' and model = 'network' and modality = 'contact_force' and metric = 'wmape' and index is null and direction is null) select a.scenario, a.latent, a.seed, a.value - b.value as gain from v a join v b on a.scenario = b.scenario and a.latent = b.latent and a.seed = b.seed where a.input = 'proprioception' and b.input like '%vision%'
 
 -- agree: paired differences of seeds
-select a.experiment, a.scenario, a.seed, a.value - b.value as difference from metrics a join metrics b on a.experiment = b.experiment and a.scenario = b.scenario and a.seed = b.seed and a.metric = b.metric and a.modality = b.modality and a.task = b.task and a.model = b.model and a.variant = b.variant where a.latent > b.latent and a.metric = 'r2' and a.model = 'network' and a.task = 'prediction' and a.index is null and b.index is null and a.direction is null and b.direction is null and a.experiment = 'latent_assumptions'
+select a.experiment, a.scenario, a.seed, a.value - b.value as difference from metrics a join metrics b on a.experiment = b.experiment and a.scenario = b.scenario and a.seed = b.seed and a.metric = b.metric and a.modality = b.modality and a.task = b.task and a.model = b.model and a.variant = b.variant where a.latent > b.latent and a.metric = 'r2' and a.model = 'network' and a.task = 'prediction' and a.index is null and b.index is null and a.direction is null and b.direction is null and a.experiment = 'intervals'
 
 -- agree: the best run of each experiment
 select experiment, run, value from metrics where metric = 'r2' and task = 'prediction' and model = 'network' and modality = 'contact_force' and index is null and direction is null qualify row_number() over (partition by experiment order by value desc, run) = 1 order by experiment
@@ -861,19 +861,19 @@ select episode is null as is_whole, count(*) as n, sum(contacts) as contacts, ma
 select w.experiment, w.run, w.modality, w.index, w.samples - sum(e.samples) as samples, w.contacts - sum(e.contacts) as contacts from forces w join forces e on e.experiment = w.experiment and e.run = w.run and e.modality = w.modality and e.index = w.index where w.episode is null and e.episode is not null group by w.experiment, w.run, w.modality, w.index, w.samples, w.contacts having w.samples <> sum(e.samples) or w.contacts <> sum(e.contacts)
 
 -- agree: running means over links
-select scenario, index, mean, avg(mean) over (partition by experiment, run order by index) as upto from forces where episode is null and modality = 'contact_force' and experiment = 'multi_to_multi'
+select scenario, index, mean, avg(mean) over (partition by experiment, run order by index) as upto from forces where episode is null and modality = 'contact_force' and experiment = 'recommended'
 
 -- agree: ranks of links by force
-select experiment, run, index, dense_rank() over (partition by experiment, run order by mean desc, index) as place from forces where episode is null and modality = 'contact_force' and experiment = 'single_to_multi'
+select experiment, run, index, dense_rank() over (partition by experiment, run order by mean desc, index) as place from forces where episode is null and modality = 'contact_force' and experiment = 'which_sense'
 
 -- agree: runs without any metric
 select r.experiment, r.run from runs r where r.run not in (select run from predictions)
 
 -- agree: runs of an experiment that are missing in another
-select run from runs where experiment = 'single_to_multi' except select run from runs where experiment = 'multi_to_multi'
+select run from runs where experiment = 'which_sense' except select run from runs where experiment = 'recommended'
 
 -- agree: runs that two experiments share
-select run from runs where experiment = 'latent_assumptions' intersect select run from runs where experiment = 'choose_kl_weight'
+select run from runs where experiment = 'intervals' intersect select run from runs where experiment = 'intervals'
 
 -- agree: specs that are in several experiments
 select spec_hash, count(distinct experiment) as experiments, min(experiment) as first, max(experiment) as last from runs group by spec_hash having count(distinct experiment) > 1
@@ -882,7 +882,7 @@ select spec_hash, count(distinct experiment) as experiments, min(experiment) as 
 select group_hash, count(*) as runs, min(seed) as first, max(seed) as last from runs group by group_hash having count(*) > 1 order by runs desc, group_hash
 
 -- agree: seeds that are missing in a group
-select g.group_hash, s.seed from (select distinct group_hash from runs where experiment = 'single_to_multi') g cross join (select distinct seed from runs where experiment = 'single_to_multi') s left join runs r on r.group_hash = g.group_hash and r.seed = s.seed and r.experiment = 'single_to_multi' where r.run is null
+select g.group_hash, s.seed from (select distinct group_hash from runs where experiment = 'which_sense') g cross join (select distinct seed from runs where experiment = 'which_sense') s left join runs r on r.group_hash = g.group_hash and r.seed = s.seed and r.experiment = 'which_sense' where r.run is null
 
 -- agree: a grid of scenarios and sizes with counts
 select s.scenario, l.latent, count(r.run) as n from (select distinct scenario from runs) s cross join (select distinct latent from runs) l left join runs r on r.scenario = s.scenario and r.latent = l.latent group by s.scenario, l.latent order by s.scenario, l.latent
@@ -996,10 +996,10 @@ select split_part(input, '+', 1) as first, count(*) as n from runs group by spli
 select distinct input || ' -> ' || output as task from runs order by task
 
 -- agree: values of settings in the variant
-select distinct variant, replace(variant, 'kl_weight=', '') as weight from runs where experiment = 'choose_kl_weight' order by weight
+select distinct variant, replace(variant, 'change=episodes_', '') as episodes from runs where experiment = 'choose_recommended' and variant like 'change=episodes_%' order by episodes
 
 -- agree: numbers of settings in the variant
-select cast(replace(variant, 'kl_weight=', '') as double) as weight, count(*) as n from runs where experiment = 'choose_kl_weight' group by weight order by weight
+select cast(replace(variant, 'change=episodes_', '') as double) as episodes, count(*) as n from runs where experiment = 'choose_recommended' and variant like 'change=episodes_%' group by episodes order by episodes
 
 -- agree: numbers of settings, where there are any
 select variant, try_cast(split_part(variant, '=', 2) as double) as number from runs group by variant
@@ -1014,16 +1014,16 @@ select distinct split_part(variant, ',', 1) as first, split_part(variant, ',', 2
 select variant = '' as is_base, count(*) as n from runs group by variant = ''
 
 -- agree: the base instead of an empty variant
-select case when variant = '' then 'base' else variant end as variant, count(*) as n from runs where experiment in ('multi_to_multi', 'choose_hidden') group by 1
+select case when variant = '' then 'base' else variant end as variant, count(*) as n from runs where experiment in ('recommended', 'missing') group by 1
 
 -- agree: nullif of an empty variant
 select coalesce(nullif(variant, ''), 'base') as variant, count(*) as n from runs group by coalesce(nullif(variant, ''), 'base')
 
 -- agree: an alias that renames columns, and a condition on a new name
-select count(*) as n, min(a) as least, max(b) as most, max(status) as last from runs r(a, b, c, d) where a = 'multi_to_multi' and d <> ''
+select count(*) as n, min(a) as least, max(b) as most, max(status) as last from runs r(a, b, c, d) where a = 'recommended' and d <> ''
 
 -- agree: an alias whose new names are those of other columns
-select experiment, run, count(*) as n from epochs e(run, experiment) where experiment like 'empty-z%' and run = 'single_to_multi' group by experiment, run
+select experiment, run, count(*) as n from epochs e(run, experiment) where experiment like 'empty-z%' and run = 'which_sense' group by experiment, run
 
 -- agree: an alias that swaps two columns
 select run, term, count(*) as n from epochs as e(experiment, run, scenario, input, output, architecture, latent, variant, seed, term, epoch, split, task, value, seconds) where term = 'prediction' and task = 'total' and split = 'validation' group by run, term
@@ -1032,7 +1032,7 @@ select run, term, count(*) as n from epochs as e(experiment, run, scenario, inpu
 select a.run, count(*) as n from runs a join epochs e(x, run, scenario, input, output, architecture, latent, variant, seed, kind, epoch, split, term, value, seconds) on e.x = a.experiment and e.run = a.run where e.kind = 'reconstruction' group by a.run
 
 -- agree: renamed columns of with in a condition
-with e(experiment, run, least) as (select run, experiment, min(value) from epochs where term = 'total' group by run, experiment) select run, count(*) as n from e where run = 'choose_hidden' group by run
+with e(experiment, run, least) as (select run, experiment, min(value) from epochs where term = 'total' group by run, experiment) select run, count(*) as n from e where run = 'missing' group by run
 
 -- agree: text of decimals cast to integers
 select try_cast('1.7' as integer) as a, cast('1.7' as integer) as b, try_cast('1.5' as integer) as c, try_cast('2.5' as integer) as d, try_cast('-2.5' as integer) as e, try_cast('1.49' as bigint) as f, try_cast('.5' as integer) as g, try_cast('5.' as integer) as h, try_cast('-0.5' as integer) as i, try_cast('+7' as integer) as j
@@ -1086,7 +1086,7 @@ select count(*) as n from (select * from runs where seed <> 0) as r where 4 % se
 with r as (select run, seed from runs where seed > 0) select seed, count(*) as n from r where 9 % seed < 2 group by seed
 
 -- agree: texts that are no numbers, excluded by case
-select distinct variant, case when variant like 'hidden=%' then cast(split_part(variant, '=', 2) as integer) end as hidden from runs
+select distinct variant, case when variant like 'change=episodes_%' then cast(split_part(variant, '_', 2) as integer) end as episodes from runs
 
 -- agree: a remainder by zero that coalesce does not need
 select distinct coalesce(latent, 5 % seed) as a, coalesce(1, 5 % 0) as b, coalesce(nullif(seed, 0), seed + 1, 6 % seed) as c from runs where latent is not null
@@ -1095,10 +1095,10 @@ select distinct coalesce(latent, 5 % seed) as a, coalesce(1, 5 % 0) as b, coales
 select distinct coalesce(try_cast(variant as integer), length(variant)) as a, coalesce(latent, cast(run as integer)) as b from runs where latent is not null
 
 -- agree: texts that are no numbers, excluded by where
-select distinct cast(split_part(variant, '=', 2) as integer) as hidden from runs where variant like 'hidden=%' and cast(split_part(variant, '=', 2) as integer) > 64
+select distinct cast(split_part(variant, '_', 2) as integer) as episodes from runs where variant like 'change=episodes_%' and cast(split_part(variant, '_', 2) as integer) > 200
 
 -- agree: texts that are no numbers, excluded by an inner query
-select distinct cast(v as double) as weight from (select split_part(variant, '=', 2) as v from runs where experiment = 'choose_kl_weight') as t where cast(v as double) < 0.005
+select distinct cast(v as double) as episodes from (select split_part(variant, '_', 2) as v from runs where experiment = 'choose_recommended' and variant like 'change=episodes_%') as t where cast(v as double) < 300
 
 -- agree: an overflow that case excludes
 select distinct case when latent > 1000 then latent * 9223372036854775807 else latent end as a from runs
@@ -1134,7 +1134,7 @@ select scenario, sum(mean * samples) / sum(samples) as force from forces where e
 select metric, (sum(value) - min(value) - max(value)) / nullif(count(value) - 2, 0) as trimmed from metrics where model = 'network' and index is null and direction is null and metric <> 'r2' group by metric
 
 -- agree: scores in units of the deviation
-select experiment, run, value, (value - avg(value) over (partition by experiment)) / nullif(stddev(value) over (partition by experiment), 0) as z from metrics where metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null and experiment = 'single_to_multi'
+select experiment, run, value, (value - avg(value) over (partition by experiment)) / nullif(stddev(value) over (partition by experiment), 0) as z from metrics where metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null and experiment = 'which_sense'
 
 -- agree: values more than two deviations from the mean
 with m as (select experiment, run, value, avg(value) over (partition by experiment) as mean, stddev(value) over (partition by experiment) as s from metrics where metric = 'smape' and model = 'network' and modality = 'proprioception' and task = 'prediction' and index is null and direction is null) select experiment, run from m where abs(value - mean) > 2 * s
@@ -1149,25 +1149,25 @@ select experiment, run, round(100 * min(value) over (partition by experiment) / 
 select experiment, scenario, latent, run, value - min(value) over (partition by experiment, scenario, latent) as gap from metrics where metric = 'rmse' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null
 
 -- agree: the improvement over the previous latent size
-with m as (select scenario, latent, avg(value) as mean from metrics where experiment = 'single_to_multi' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null group by scenario, latent) select scenario, latent, mean, mean - lag(mean) over (partition by scenario order by latent) as gain from m
+with m as (select scenario, latent, avg(value) as mean from metrics where experiment = 'which_sense' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null group by scenario, latent) select scenario, latent, mean, mean - lag(mean) over (partition by scenario order by latent) as gain from m
 
 -- agree: each metric against that of the smallest network
-select scenario, latent, mean, mean / first_value(mean) over (partition by scenario order by latent) as ratio from (select scenario, latent, avg(value) as mean from metrics where experiment = 'multi_to_multi' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null group by scenario, latent) as m
+select scenario, latent, mean, mean / first_value(mean) over (partition by scenario order by latent) as ratio from (select scenario, latent, avg(value) as mean from metrics where experiment = 'recommended' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null group by scenario, latent) as m
 
 -- agree: metrics of links beside the mean of all
-select run, index, value, avg(value) over (partition by run) as mean, value > avg(value) over (partition by run) as above from metrics where experiment = 'multi_to_multi_best' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is not null
+select run, index, value, avg(value) over (partition by run) as mean, value > avg(value) over (partition by run) as above from metrics where experiment = 'intervals' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is not null
 
 -- agree: the link with the largest error of each run
 select experiment, run, index, value from metrics where metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is not null qualify rank() over (partition by experiment, run order by value desc) = 1
 
 -- agree: the first three links
-select run, sum(value) filter (where index = 0) as l0, sum(value) filter (where index = 1) as l1, sum(value) filter (where index = 2) as l2 from metrics where metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and experiment = 'single_to_multi' group by run
+select run, sum(value) filter (where index = 0) as l0, sum(value) filter (where index = 1) as l1, sum(value) filter (where index = 2) as l2 from metrics where metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and experiment = 'which_sense' group by run
 
 -- agree: odd and even links
 select index % 2 = 0 as even, avg(value) as mean from metrics where metric = 'mae' and modality = 'contact_force' and index is not null group by index % 2 = 0
 
 -- agree: neighboring links
-select a.run, a.index, b.value - a.value as step from metrics a join metrics b on a.experiment = b.experiment and a.run = b.run and a.task = b.task and a.model = b.model and a.modality = b.modality and a.metric = b.metric and b.index = a.index + 1 where a.metric = 'mae' and a.model = 'network' and a.modality = 'contact_force' and a.experiment = 'multi_to_multi_best'
+select a.run, a.index, b.value - a.value as step from metrics a join metrics b on a.experiment = b.experiment and a.run = b.run and a.task = b.task and a.model = b.model and a.modality = b.modality and a.metric = b.metric and b.index = a.index + 1 where a.metric = 'mae' and a.model = 'network' and a.modality = 'contact_force' and a.experiment = 'intervals'
 
 -- agree: directions beside each other
 select experiment, run, max(case when direction = 'fe' then value end) as fe, max(case when direction = 'aa' then value end) as aa from metrics where metric = 'smape' and model = 'network' and task = 'prediction' and modality = 'proprioception' and index is null and direction is not null group by experiment, run
@@ -1203,7 +1203,7 @@ select experiment, run, modality, max(case metric when 'r2' then value end) as r
 select experiment, latent, avg(case scenario when 'empty' then value end) as empty, avg(case scenario when 'cluttered' then value end) as cluttered from metrics where metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null group by experiment, latent order by experiment, latent
 
 -- agree: seeds in columns
-select variant, latent, scenario, min(value) filter (where seed = 0) as s0, min(value) filter (where seed = 1) as s1, min(value) filter (where seed = 2) as s2 from metrics where experiment = 'force_assumptions' and metric = 'mae' and model = 'network' and index is null and direction is null and modality = 'contact_force' group by variant, latent, scenario
+select variant, latent, scenario, min(value) filter (where seed = 0) as s0, min(value) filter (where seed = 1) as s1, min(value) filter (where seed = 2) as s2 from metrics where experiment = 'missing' and metric = 'mae' and model = 'network' and index is null and direction is null and modality = 'contact_force' group by variant, latent, scenario
 
 -- agree: columns in rows
 select 'mae' as metric, avg(mean) as value from forces where episode is null union all select 'max', max(max) from forces where episode is null union all select 'contacts', sum(contacts) from forces where episode is null
@@ -1215,7 +1215,7 @@ select (select count(*) from runs) as runs, (select count(*) from epochs) as epo
 select 'runs' as name, count(*) as n from runs union all select 'epochs', count(*) from epochs union all select 'metrics', count(*) from metrics order by n
 
 -- agree: the rows of a run in each table
-select r.run, e.n as epochs, m.n as metrics, p.n as predictions from runs r left join (select experiment, run, count(*) as n from epochs group by experiment, run) e on e.experiment = r.experiment and e.run = r.run left join (select experiment, run, count(*) as n from metrics group by experiment, run) m on m.experiment = r.experiment and m.run = r.run left join (select experiment, run, count(*) as n from predictions group by experiment, run) p on p.experiment = r.experiment and p.run = r.run where r.experiment = 'single_to_multi'
+select r.run, e.n as epochs, m.n as metrics, p.n as predictions from runs r left join (select experiment, run, count(*) as n from epochs group by experiment, run) e on e.experiment = r.experiment and e.run = r.run left join (select experiment, run, count(*) as n from metrics group by experiment, run) m on m.experiment = r.experiment and m.run = r.run left join (select experiment, run, count(*) as n from predictions group by experiment, run) p on p.experiment = r.experiment and p.run = r.run where r.experiment = 'which_sense'
 
 -- agree: nulls of a left join as zero
 select r.experiment, count(*) as runs, sum(coalesce(p.n, 0)) as predictions from runs r left join (select experiment, run, count(*) as n from predictions group by experiment, run) p on p.experiment = r.experiment and p.run = r.run group by r.experiment
@@ -1242,7 +1242,7 @@ select experiment, avg(prediction_seconds) as mean from runs group by experiment
 select distinct experiment, case when experiment = (select min(experiment) from runs) then 'first' else 'other' end as place from runs
 
 -- agree: a subquery in a subquery
-select count(*) as n from metrics where run in (select run from runs where dataset in (select dataset from runs where experiment = 'multi_to_multi_400k'))
+select count(*) as n from metrics where run in (select run from runs where dataset in (select dataset from runs where experiment = 'intervals'))
 
 -- agree: a subquery in an order
 select experiment from runs group by experiment order by abs(count(*) - (select avg(n) from (select count(*) as n from runs group by experiment) as c)), experiment
@@ -1254,28 +1254,28 @@ with best as (select max(value) as value from metrics where metric = 'r2' and mo
 with cells as (select experiment, scenario, latent, variant, avg(value) as mean from metrics where metric = 'r2' and task = 'prediction' and model = 'network' and modality = 'contact_force' and index is null and direction is null group by experiment, scenario, latent, variant), ranked as (select *, rank() over (partition by scenario order by mean desc) as place from cells), best as (select * from ranked where place <= 5) select scenario, count(*) as n, min(mean) as least, max(mean) as most from best group by scenario
 
 -- agree: with of two tables
-with r as (select experiment, run, parameters from runs where architecture = 'multi_to_multi'), m as (select experiment, run, value from metrics where metric = 'relative_error' and model = 'network' and task = 'prediction' and index is null) select r.experiment, r.run, r.parameters, m.value from r join m on m.experiment = r.experiment and m.run = r.run
+with r as (select experiment, run, parameters from runs where architecture = 'single_to_multi'), m as (select experiment, run, value from metrics where metric = 'relative_error' and model = 'network' and task = 'prediction' and index is null) select r.experiment, r.run, r.parameters, m.value from r join m on m.experiment = r.experiment and m.run = r.run
 
 -- agree: with whose names are those of functions
 with max as (select max(epoch) as max from epochs) select max.max + 1 as next from max
 
 -- agree: the same query of with joined twice
-with m as (select run, experiment, seed, scenario, latent, value from metrics where experiment = 'single_to_multi' and metric = 'mae' and task = 'prediction' and model = 'network' and modality = 'contact_force' and index is null and direction is null) select a.scenario, a.latent, a.seed, b.seed as other, a.value - b.value as difference from m a join m b on a.scenario = b.scenario and a.latent = b.latent and a.seed < b.seed
+with m as (select run, experiment, seed, scenario, latent, value from metrics where experiment = 'which_sense' and metric = 'mae' and task = 'prediction' and model = 'network' and modality = 'contact_force' and index is null and direction is null) select a.scenario, a.latent, a.seed, b.seed as other, a.value - b.value as difference from m a join m b on a.scenario = b.scenario and a.latent = b.latent and a.seed < b.seed
 
 -- agree: two rows before and after
-select experiment, run, epoch, lag(value, 2) over (partition by experiment, run order by epoch) as before, lead(value, 2) over (partition by experiment, run order by epoch) as after from epochs where experiment = 'choose_multi_losses' and task = 'prediction' and split = 'validation' and term = 'total'
+select experiment, run, epoch, lag(value, 2) over (partition by experiment, run order by epoch) as before, lead(value, 2) over (partition by experiment, run order by epoch) as after from epochs where experiment = 'intervals' and task = 'prediction' and split = 'validation' and term = 'total'
 
 -- agree: relative changes
-select experiment, run, epoch, (value - lag(value) over (partition by experiment, run order by epoch)) / lag(value) over (partition by experiment, run order by epoch) as change from epochs where experiment = 'choose_multi_widths' and task = 'prediction' and split = 'train' and term = 'total'
+select experiment, run, epoch, (value - lag(value) over (partition by experiment, run order by epoch)) / lag(value) over (partition by experiment, run order by epoch) as change from epochs where experiment = 'intervals' and task = 'prediction' and split = 'train' and term = 'total'
 
 -- agree: cumulative time
-select experiment, run, epoch, sum(seconds) over (partition by experiment, run order by epoch) as time, value from epochs where experiment = 'multi_to_multi_best' and task = 'prediction' and split = 'validation' and term = 'total'
+select experiment, run, epoch, sum(seconds) over (partition by experiment, run order by epoch) as time, value from epochs where experiment = 'intervals' and task = 'prediction' and split = 'validation' and term = 'total'
 
 -- agree: the loss after a time
 select experiment, run, min(value) as least from (select experiment, run, value, sum(seconds) over (partition by experiment, run order by epoch) as time from epochs where task = 'prediction' and split = 'validation' and term = 'total') as e where time < 60 group by experiment, run
 
 -- agree: the share of epochs that are done by the time
-select experiment, run, epoch, 1.0 * row_number() over (partition by experiment, run order by epoch) / count(*) over (partition by experiment, run) as share from epochs where experiment = 'choose_recipe' and task = 'prediction' and split = 'train' and term = 'kl'
+select experiment, run, epoch, 1.0 * row_number() over (partition by experiment, run order by epoch) / count(*) over (partition by experiment, run) as share from epochs where experiment = 'missing' and task = 'prediction' and split = 'train' and term = 'kl'
 
 -- agree: the first and the last loss
 select distinct experiment, run, first_value(value) over (partition by experiment, run order by epoch) as first, last_value(value) over (partition by experiment, run order by epoch rows between unbounded preceding and unbounded following) as last from epochs where task = 'prediction' and split = 'train' and term = 'total'
@@ -1377,7 +1377,7 @@ select count(*) as n from metrics where direction not in ('fe', 'x')
 select count(*) as n from metrics where (direction is null or direction = 'aa') and (index is null or index < 2)
 
 -- agree: equal or both null
-select count(*) as n from metrics a join metrics b on a.experiment = b.experiment and a.run = b.run and a.task = b.task and a.model = b.model and a.modality = b.modality and a.metric = b.metric and a.index is not distinct from b.index where a.experiment = 'choose_multi_widths'
+select count(*) as n from metrics a join metrics b on a.experiment = b.experiment and a.run = b.run and a.task = b.task and a.model = b.model and a.modality = b.modality and a.metric = b.metric and a.index is not distinct from b.index where a.experiment = 'intervals'
 
 -- agree: coalesced keys of a join
 select count(*) as n from (select distinct coalesce(index, -1) as i from metrics) a join (select distinct coalesce(index, -1) as i from forces) b on a.i = b.i
@@ -1392,7 +1392,7 @@ select experiment, run, round(prediction_seconds / 60, 2) as minutes, ceil(predi
 select distinct right('000' || latent, 3) as z from runs order by z
 
 -- agree: identifiers made of columns
-select distinct scenario || '-z' || latent || '-seed' || seed as id from runs where experiment = 'single_to_multi' order by id
+select distinct scenario || '-z' || latent || '-seed' || seed as id from runs where experiment = 'which_sense' order by id
 
 -- agree: identifiers that begin the run's name
 select count(*) as n from runs where run like '%' and starts_with(run, scenario || '-') and contains(run, '-z' || latent || '-')
@@ -1416,10 +1416,10 @@ select distinct split_part(dataset, '-', 1) = scenario as same from runs
 select coalesce(role, experiment) as counts_for, count(*) as n from runs group by coalesce(role, experiment) order by n desc, counts_for
 
 -- agree: a reading against the base
-with m as (select r.reading, m.scenario, m.latent, m.value from metrics m join runs r on r.experiment = m.experiment and r.run = m.run where m.experiment = 'readings' and m.metric = 'mae' and m.task = 'prediction' and m.model = 'network' and m.modality = 'contact_force' and m.index is null and m.direction is null) select reading, scenario, latent, avg(value) as mean, count(*) as n from m group by reading, scenario, latent
+with m as (select r.reading, m.scenario, m.latent, m.value from metrics m join runs r on r.experiment = m.experiment and r.run = m.run where m.experiment = 'reproduction' and m.metric = 'mae' and m.task = 'prediction' and m.model = 'network' and m.modality = 'contact_force' and m.index is null and m.direction is null) select reading, scenario, latent, avg(value) as mean, count(*) as n from m group by reading, scenario, latent
 
 -- agree: how much a reading changes the metric
-with m as (select r.reading, r.role, m.scenario, m.latent, avg(m.value) as mean from metrics m join runs r on r.experiment = m.experiment and r.run = m.run where m.experiment = 'readings' and m.metric = 'mae' and m.task = 'prediction' and m.model = 'network' and m.modality = 'contact_force' and m.index is null and m.direction is null group by r.reading, r.role, m.scenario, m.latent) select reading, role, scenario, latent, mean - avg(mean) over (partition by role, scenario, latent) as change, rank() over (partition by role, scenario, latent order by mean) as place from m
+with m as (select r.reading, r.role, m.scenario, m.latent, avg(m.value) as mean from metrics m join runs r on r.experiment = m.experiment and r.run = m.run where m.experiment = 'reproduction' and m.metric = 'mae' and m.task = 'prediction' and m.model = 'network' and m.modality = 'contact_force' and m.index is null and m.direction is null group by r.reading, r.role, m.scenario, m.latent) select reading, role, scenario, latent, mean - avg(mean) over (partition by role, scenario, latent) as change, rank() over (partition by role, scenario, latent order by mean) as place from m
 
 -- agree: the last five epochs of each run
 select experiment, run, avg(value) as mean from (select experiment, run, epoch, value, max(epoch) over (partition by experiment, run, task) as last from epochs where task = 'prediction' and split = 'validation' and term = 'total') as e where epoch > last - 5 group by experiment, run
@@ -1428,7 +1428,7 @@ select experiment, run, avg(value) as mean from (select experiment, run, epoch, 
 select experiment, run, sum(value) filter (where epoch = 1) as e1, sum(value) filter (where epoch = 5) as e5, sum(value) filter (where epoch = 10) as e10 from epochs where task = 'prediction' and split = 'validation' and term = 'total' group by experiment, run
 
 -- agree: the order of runs at the first and at the last epoch
-with e as (select experiment, run, epoch, value, max(epoch) over (partition by experiment, run) as last from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'single_to_multi') select a.run, rank() over (order by a.value) as first, rank() over (order by b.value) as last from e a join e b on a.experiment = b.experiment and a.run = b.run where a.epoch = 1 and b.epoch = b.last
+with e as (select experiment, run, epoch, value, max(epoch) over (partition by experiment, run) as last from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'which_sense') select a.run, rank() over (order by a.value) as first, rank() over (order by b.value) as last from e a join e b on a.experiment = b.experiment and a.run = b.run where a.epoch = 1 and b.epoch = b.last
 
 -- agree: terms that grew between the first and the last epoch
 with e as (select experiment, run, task, term, split, epoch, value, max(epoch) over (partition by experiment, run, task) as last from epochs) select experiment, run, task, term, split from e group by experiment, run, task, term, split having max(case when epoch = last then value end) > max(case when epoch = 1 then value end)
@@ -1452,7 +1452,7 @@ select experiment, quantile_cont(value, 0.5) filter (where split = 'train') as t
 select median(v.value - t.value) as gap from epochs t join epochs v using (experiment, run, task, epoch, term) where t.split = 'train' and v.split = 'validation' and t.term = 'kl'
 
 -- agree: using with five columns keeps the others
-select experiment, run, epoch, t.split, v.split from epochs t join epochs v using (experiment, run, task, epoch, term) where t.split = 'train' and v.split = 'validation' and experiment = 'choose_multi_widths' and term = 'kl'
+select experiment, run, epoch, t.split, v.split from epochs t join epochs v using (experiment, run, task, epoch, term) where t.split = 'train' and v.split = 'validation' and experiment = 'intervals' and term = 'kl'
 
 -- agree: all runs, with the experiment they share a spec with
 select a.experiment, a.run, b.experiment as other from runs a left join runs b on a.spec_hash = b.spec_hash and a.experiment < b.experiment
@@ -1461,7 +1461,7 @@ select a.experiment, a.run, b.experiment as other from runs a left join runs b o
 select a.latent, min(b.latent) as next from (select distinct latent from runs) a left join (select distinct latent from runs) b on b.latent > a.latent group by a.latent order by a.latent
 
 -- agree: inequality within a range
-select count(*) as n from runs a join runs b on a.experiment = b.experiment and a.prediction_seconds > b.prediction_seconds * 2 where a.experiment = 'multi_to_multi'
+select count(*) as n from runs a join runs b on a.experiment = b.experiment and a.prediction_seconds > b.prediction_seconds * 2 where a.experiment = 'recommended'
 
 -- agree: classes from a table of bounds
 with bounds as (select 0 as low, 60 as high, 'short' as name union all select 60, 300, 'medium' union all select 300, 1000000, 'long') select b.name, count(*) as n from runs r join bounds b on r.prediction_seconds >= b.low and r.prediction_seconds < b.high group by b.name
@@ -1473,10 +1473,10 @@ with names as (select 'empty' as scenario, 'Empty' as name union all select 'clu
 with wanted as (select 4 as latent union all select 5 union all select 16) select w.latent, count(r.run) as n from runs r right join wanted w on w.latent = r.latent group by w.latent order by w.latent
 
 -- agree: a full join of two experiments by the scenario and size
-select coalesce(a.scenario, b.scenario) as scenario, coalesce(a.latent, b.latent) as latent, a.n as single, b.n as multi from (select scenario, latent, count(*) as n from runs where experiment = 'single_to_multi' group by scenario, latent) a full join (select scenario, latent, count(*) as n from runs where experiment = 'choose_kl_weight' group by scenario, latent) b on a.scenario = b.scenario and a.latent = b.latent
+select coalesce(a.scenario, b.scenario) as scenario, coalesce(a.latent, b.latent) as latent, a.n as single, b.n as multi from (select scenario, latent, count(*) as n from runs where experiment = 'which_sense' group by scenario, latent) a full join (select scenario, latent, count(*) as n from runs where experiment = 'choose_recommended' and variant like 'change=episodes_%' group by scenario, latent) b on a.scenario = b.scenario and a.latent = b.latent
 
 -- agree: settings of one experiment that another lacks
-select distinct latent from runs where experiment = 'readings' except select latent from runs where experiment = 'multi_to_multi' order by latent
+select distinct latent from runs where experiment = 'reproduction' except select latent from runs where experiment = 'recommended' order by latent
 
 -- agree: the union of two selections without repetitions
 select experiment, run from runs where latent = 4 union select experiment, run from runs where seed = 0 order by experiment, run limit 30
@@ -1541,13 +1541,13 @@ where true -- no condition
 group by experiment
 
 -- agree: a comma after the last column
-select experiment, latent, from runs where experiment = 'choose_multi_widths'
+select experiment, latent, from runs where experiment = 'intervals'
 
 -- agree: no as before names
 select experiment e, count(*) n from runs r where r.latent > 4 group by experiment
 
 -- agree: the same column twice with other names
-select latent as a, latent as b, latent + 0 as c from runs where experiment = 'choose_best_batch'
+select latent as a, latent as b, latent + 0 as c from runs where experiment = 'intervals'
 
 -- agree: names of select are not seen in where
 select latent * 2 as seed, count(*) as n from runs where seed = 0 group by latent
@@ -1583,10 +1583,10 @@ select modality, coalesce(direction, '-') as direction, count(distinct index) as
 with g as (select experiment, avg(value) as mean, variance(value) as within, count(value) as n from metrics where metric = 'mae' and modality = 'contact_force' and model = 'network' and task = 'prediction' and index is null and direction is null group by experiment) select sum(n * within) / sum(n) as within, variance(mean) as between_ from g
 
 -- agree: the slope of a straight line
-select (count(*) * sum(x * y) - sum(x) * sum(y)) / (count(*) * sum(x * x) - sum(x) * sum(x)) as slope from (select log2(latent) as x, value as y from metrics where experiment = 'single_to_multi' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as p
+select (count(*) * sum(x * y) - sum(x) * sum(y)) / (count(*) * sum(x * x) - sum(x) * sum(x)) as slope from (select log2(latent) as x, value as y from metrics where experiment = 'which_sense' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as p
 
 -- agree: the rank of each seed
-select seed, avg(place) as mean from (select seed, rank() over (partition by scenario, latent order by value) as place from metrics where experiment = 'single_to_multi' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as r group by seed
+select seed, avg(place) as mean from (select seed, rank() over (partition by scenario, latent order by value) as place from metrics where experiment = 'which_sense' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as r group by seed
 
 -- agree: how many wins each model has
 with m as (select experiment, run, model, value, rank() over (partition by experiment, run order by value) as place from metrics where metric = 'mae' and task = 'prediction' and modality = 'contact_force' and index is null and direction is null) select model, sum(case when place = 1 then 1 else 0 end) as wins, count(*) as n from m group by model
@@ -1622,7 +1622,7 @@ select run from runs where latent < 0 order by run limit 3 offset 1
 select 'group' as kind, 1 as one, latent, count(*) as n from runs group by latent
 
 -- agree: conditions on conditions that are null
-select count(*) as n from runs where (reading = 'all_epochs') is not true and (role = 'multi_to_multi') is distinct from true
+select count(*) as n from runs where (reading = 'recommended') is not true and (role = 'single_to_multi') is distinct from true
 
 -- agree: nulls in arithmetic, text and comparison
 select count(*) as n, count(reconstruction_seconds + prediction_seconds) as a, count(reading || '!') as b, count(reading = role) as c, count(concat(reading, role)) as d, count(greatest(reconstruction_seconds, 0)) as e from runs
@@ -1634,19 +1634,19 @@ select coalesce(reading, role, nullif(variant, ''), experiment) as name, count(*
 select experiment, run, epoch, avg(value) over (partition by experiment, run order by epoch rows between 4 preceding and current row) as mean from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment like 'choose%'
 
 -- agree: centered means, and rows without neighbors
-select experiment, run, epoch, avg(value) over (partition by experiment, run order by epoch rows between 1 preceding and 1 following) as a, min(value) over (partition by experiment, run order by epoch rows between 2 preceding and 1 preceding) as b, max(value) over (partition by experiment, run order by epoch rows between 1 following and 3 following) as c, count(*) over (partition by experiment, run order by epoch rows between 3 preceding and 1 preceding) as d from epochs where task = 'prediction' and split = 'train' and term = 'total' and experiment = 'multi_to_multi_best'
+select experiment, run, epoch, avg(value) over (partition by experiment, run order by epoch rows between 1 preceding and 1 following) as a, min(value) over (partition by experiment, run order by epoch rows between 2 preceding and 1 preceding) as b, max(value) over (partition by experiment, run order by epoch rows between 1 following and 3 following) as c, count(*) over (partition by experiment, run order by epoch rows between 3 preceding and 1 preceding) as d from epochs where task = 'prediction' and split = 'train' and term = 'total' and experiment = 'intervals'
 
 -- agree: moving sums of integers, with nulls
 select metric, index, sum(index) over (partition by metric order by index rows between 2 preceding and current row) as a, count(index) over (partition by metric order by index rows 1 preceding) as b, min(index) over (partition by metric order by index rows between current row and 1 following) as c from (select distinct metric, index from metrics) as m
 
 -- agree: moving medians, quantiles and deviations
-select experiment, run, epoch, median(value) over (partition by experiment, run order by epoch rows between 2 preceding and 2 following) as a, stddev(value) over (partition by experiment, run order by epoch rows between 3 preceding and current row) as b, quantile_cont(value, 0.25) over (partition by experiment, run order by epoch rows between 4 preceding and current row) as c, variance(value) over (partition by experiment, run order by epoch rows between 1 preceding and current row) as d from epochs where task = 'prediction' and split = 'train' and term = 'total' and experiment = 'choose_kl_weight'
+select experiment, run, epoch, median(value) over (partition by experiment, run order by epoch rows between 2 preceding and 2 following) as a, stddev(value) over (partition by experiment, run order by epoch rows between 3 preceding and current row) as b, quantile_cont(value, 0.25) over (partition by experiment, run order by epoch rows between 4 preceding and current row) as c, variance(value) over (partition by experiment, run order by epoch rows between 1 preceding and current row) as d from epochs where task = 'prediction' and split = 'train' and term = 'total' and experiment = 'choose_recommended' and variant like 'change=episodes_%'
 
 -- agree: the mean of the rest of the partition
-select run, epoch, avg(value) over (partition by experiment, run order by epoch rows between current row and unbounded following) as rest from epochs where experiment = 'choose_multi_widths' and task = 'prediction' and split = 'train' and term = 'total'
+select run, epoch, avg(value) over (partition by experiment, run order by epoch rows between current row and unbounded following) as rest from epochs where experiment = 'intervals' and task = 'prediction' and split = 'train' and term = 'total'
 
 -- agree: running medians and deviations
-select experiment, run, epoch, median(value) over (partition by experiment, run order by epoch) as a, stddev(value) over (partition by experiment, run order by epoch) as b, variance(value) over (partition by experiment, run order by epoch rows unbounded preceding) as c from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'multi_to_multi'
+select experiment, run, epoch, median(value) over (partition by experiment, run order by epoch) as a, stddev(value) over (partition by experiment, run order by epoch) as b, variance(value) over (partition by experiment, run order by epoch rows unbounded preceding) as c from epochs where task = 'prediction' and split = 'validation' and term = 'total' and experiment = 'recommended'
 
 -- agree: a running median goes to the last equal row
 select run, latent, median(prediction_seconds) over (partition by scenario order by latent) as a from runs
@@ -1655,7 +1655,7 @@ select run, latent, median(prediction_seconds) over (partition by scenario order
 select n, max(x) over (order by n rows between 1 preceding and current row) as a, min(x) over (order by n rows between 1 preceding and current row) as b from (select 1 as n, 1.5::double as x union all select 2, 0 / 0 union all select 3, 2.5 union all select 4, null union all select 5, null) as t
 
 -- agree: a moving aggregate with a filter
-select experiment, run, epoch, avg(value) filter (where epoch > 2) over (partition by experiment, run order by epoch rows between 2 preceding and current row) as mean from epochs where experiment = 'choose_multi_losses' and task = 'prediction' and split = 'train' and term = 'total'
+select experiment, run, epoch, avg(value) filter (where epoch > 2) over (partition by experiment, run order by epoch rows between 2 preceding and current row) as mean from epochs where experiment = 'intervals' and task = 'prediction' and split = 'train' and term = 'total'
 
 -- agree: a named window
 select run, latent, sum(latent) over w as a, rank() over w as b, count(*) over () as c from runs window w as (partition by scenario order by latent)
@@ -1919,7 +1919,7 @@ select sum(5 % seed) filter (where seed > 0) from runs
 -- refuse: text that is no integer, which case does not exclude | is not an integer from -2147483648 to 2147483647; TRY_CAST returns null instead
 select case when latent > 1 then cast(run as integer) end from runs
 
--- refuse: text that is no integer in a condition | 'action=increment' is not an integer
+-- refuse: text that is no integer in a condition | ' is not an integer
 select count(*) from runs where cast(variant as integer) > 3
 
 -- refuse: a decimal that is too large for an integer | '9999999999.5' is not an integer from -2147483648 to 2147483647

@@ -1,0 +1,86 @@
+//! A reading of an experiment, whose runs figures can show.
+
+use harness_registry::Registry;
+use harness_spec::{Experiment, SpecError, load};
+use std::path::Path;
+
+/// The spec whose last reading is shown if there are no runs of the paper's experiments.
+const REPRODUCTION: &str = "reproduction";
+
+/// A reading of an experiment: `reproduction/recommended`.
+#[derive(Debug, Clone)]
+pub struct OfReading {
+    spec: Experiment,
+    reading: String,
+}
+
+/// Why a reading can't be shown.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadingError {
+    /// The text does not name an experiment and a reading.
+    #[error("'{0}' names no reading; write EXPERIMENT/READING, for example reproduction/recommended")]
+    Form(String),
+    /// The experiment's spec can't be read.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// The experiment has no readings.
+    #[error("{0} has no readings; name an experiment that has, such as reproduction")]
+    NoReadings(String),
+    /// The experiment has no such reading.
+    #[error("{experiment} has no reading '{wanted}'; its readings are {}", there.join(", "))]
+    Unknown {
+        /// The experiment's name.
+        experiment: String,
+        /// The wanted reading.
+        wanted: String,
+        /// The names of the experiment's readings.
+        there: Vec<String>,
+    },
+}
+
+impl OfReading {
+    /// Reads the spec of a reading that `text` names as `EXPERIMENT/READING`. With `quick`, it is about the quick runs.
+    ///
+    /// # Errors
+    /// When `text` has another form, the spec can't be read, or it has no such reading.
+    pub fn load(text: &str, quick: bool) -> Result<Self, ReadingError> {
+        let named =
+            text.rsplit_once('/').filter(|(experiment, wanted)| !experiment.is_empty() && !wanted.is_empty());
+        let (experiment, wanted) = named.ok_or_else(|| ReadingError::Form(text.to_owned()))?;
+        let spec = load(Path::new(experiment), &[], quick)?;
+        if spec.readings.is_empty() {
+            return Err(ReadingError::NoReadings(experiment.to_owned()));
+        }
+        let there: Vec<String> = spec.names_of_readings().into_iter().map(str::to_owned).collect();
+        if !there.iter().any(|name| name == wanted) {
+            let (experiment, wanted) = (experiment.to_owned(), wanted.to_owned());
+            return Err(ReadingError::Unknown { experiment, wanted, there });
+        }
+        Ok(Self { spec, reading: wanted.to_owned() })
+    }
+
+    /// The reading that is shown where nothing else is asked for: the last one of the spec `reproduction`, if the
+    /// results folder has runs of it and none of the experiments `paper`.
+    ///
+    /// # Errors
+    /// When the spec can't be read.
+    pub fn instead_of(paper: &[String], registry: &Registry, quick: bool) -> Result<Option<Self>, SpecError> {
+        let has_runs = |name: &String| registry.runs().join(name).is_dir();
+        if paper.iter().any(has_runs) {
+            return Ok(None);
+        }
+        let spec = load(Path::new(REPRODUCTION), &[], quick)?;
+        let last = spec.readings.last().map(|reading| reading.name.clone()).filter(|_| has_runs(&spec.name));
+        Ok(last.map(|reading| Self { spec, reading }))
+    }
+
+    /// The name of the experiment.
+    pub fn experiment(&self) -> &str {
+        &self.spec.name
+    }
+
+    /// The name of the reading.
+    pub fn reading(&self) -> &str {
+        &self.reading
+    }
+}
