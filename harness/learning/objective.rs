@@ -77,8 +77,7 @@ pub struct Prediction<'a> {
 impl Objective for Prediction<'_> {
     fn terms(&self, at: &[Sample], mut draw: Draw) -> Result<Vec<Weighted>> {
         let Self { data, network, window, training, score, .. } = self;
-        let rates = training.modality_dropout.rates(self.input);
-        let mut keeping = draw.keeping(&rates, self.input.len(), at.len());
+        let mut keeping = draw.keeping(&training.modality_dropout, self.input, at.len());
         let start = self.burned_in(at, &keeping, &mut draw)?;
         let mut seen = times(at, 0..self.trained());
         let encoded = self.encoded(&*self.network, &seen, &keeping, &mut draw)?;

@@ -478,9 +478,7 @@ impl Experiment {
             self.given = self.tests();
             // The input is reconstructed anyway.
             self.probes.retain(|modality| !self.input.contains(modality));
-            let rates = self.training.modality_dropout.rates(&self.input);
-            self.training.modality_dropout =
-                if rates.is_empty() { ModalityDropout::default() } else { ModalityDropout::Of(rates) };
+            self.training.modality_dropout = self.training.modality_dropout.of_inputs(&self.input);
             if self.network.memory != Memory::Window {
                 self.network.memory_samples = Network::default().memory_samples;
             }

@@ -337,21 +337,6 @@ pub struct Reading {
     pub paper: String,
     /// The settings that differ from the spec's, by dotted key. They also replace those of labels under `vary`.
     pub settings: Settings,
-    /// Runs of other experiments with the settings of this reading, by label of the axis `role`. Claims use them until
-    /// the reading has runs of its own for the label.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub runs: BTreeMap<String, OtherRuns>,
-}
-
-/// Runs of another experiment.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct OtherRuns {
-    /// Name of the experiment.
-    pub experiment: String,
-    /// The variant of the runs, as in the table `runs`. Empty if the experiment varies nothing.
-    #[serde(default)]
-    pub variant: String,
 }
 
 impl Reading {
@@ -495,7 +480,6 @@ pub struct Training {
     pub patience: Option<usize>,
     /// The validation loss that `patience` refers to. It has no effect if `patience` is `null`.
     pub stop: Stop,
-    // Chosen with experiments/choose_kl_weight.yaml and choose_multi_losses.yaml.
     /// Weight of the Kullback-Leibler divergence in the total loss. The weights of the output modalities are in
     /// `outputs`.
     #[schemars(range(min = 0.0, max = 1e6))]
@@ -518,8 +502,9 @@ pub struct Training {
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub dropout: f64,
     /// Probability that a training window lacks an input, in [0, 1): one number for all inputs, or one for each that may
-    /// be lacking (`{vision: 0.3}`). All samples of a window lack it, and it is then at its mean over the training data.
-    /// Each window keeps at least one input.
+    /// be lacking (`{vision: 0.3}`). Each window keeps at least one input. A list has inputs that are lacking together,
+    /// at most one item in a window: `[{inputs: [contact_force, contact_force_mean], probability: 0.2}]`. All samples of
+    /// a window lack an input, and it is then at its mean over the training data.
     pub modality_dropout: ModalityDropout,
     /// The number format in large matrix products.
     pub precision: Precision,
@@ -680,6 +665,20 @@ pub enum ModalityDropout {
     Every(#[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))] f64),
     /// One for each of these inputs; 0 for all others.
     Of(#[schemars(schema_with = "rates_schema")] BTreeMap<Modality, f64>),
+    /// Inputs that are lacking together. A window lacks those of at most one item.
+    Together(Vec<Together>),
+}
+
+/// Inputs that a training window lacks together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Together {
+    /// The inputs.
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
+    pub inputs: Vec<Modality>,
+    /// The probability that a window lacks them. Those of all items are less than 1 together.
+    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
+    pub probability: f64,
 }
 
 impl Default for ModalityDropout {
@@ -689,19 +688,33 @@ impl Default for ModalityDropout {
 }
 
 impl ModalityDropout {
-    /// Returns the probability of each of these inputs that is not 0. A single input is never lacking.
-    pub fn rates(&self, input: &[Modality]) -> BTreeMap<Modality, f64> {
-        let rate = |modality: &Modality| match self {
-            Self::Every(rate) => *rate,
-            Self::Of(rates) => rates.get(modality).copied().unwrap_or_default(),
+    /// Returns the same probabilities in one form, without those that have no effect. A single input is never lacking.
+    pub fn of_inputs(&self, input: &[Modality]) -> Self {
+        let effective = match self {
+            _ if input.len() < 2 => return Self::default(),
+            Self::Every(rate) => Self::Of(input.iter().map(|modality| (*modality, *rate)).collect()),
+            other => other.clone(),
         };
-        let rates = input.iter().map(|modality| (*modality, rate(modality)));
-        rates.filter(|(_, rate)| input.len() > 1 && *rate > 0.0).collect()
+        match effective {
+            Self::Of(mut rates) => {
+                rates.retain(|modality, rate| input.contains(modality) && *rate > 0.0);
+                if rates.is_empty() { Self::default() } else { Self::Of(rates) }
+            }
+            Self::Together(mut all) => {
+                all.retain(|one| one.probability > 0.0);
+                if all.is_empty() { Self::default() } else { Self::Together(all) }
+            }
+            every => every,
+        }
     }
 
     /// Returns the probability that all inputs share, if they do.
     pub(super) fn of_all(&self, input: &[Modality]) -> Option<f64> {
-        let rates = self.rates(input);
+        let rates = match self.of_inputs(input) {
+            Self::Of(rates) => rates,
+            Self::Every(_) => BTreeMap::new(),
+            Self::Together(_) => return None,
+        };
         let first = rates.values().next().copied().unwrap_or_default();
         let is_same =
             rates.is_empty() || rates.len() == input.len() && rates.values().all(|rate| *rate == first);

@@ -9,9 +9,9 @@ use super::simulation::{Setting, Simulation};
 use super::split::{Division, Split, Tested};
 use super::types::{
     Device, Experiment, Family, Given, Loss, Memory, ModalityDropout, Network, Precision, Predict, Preset,
-    Reading, Settings, Task, TestDataset, Training, WindowStart,
+    Reading, Settings, Task, TestDataset, Together, Training, WindowStart,
 };
-use super::vary::{ROLE, VARY};
+use super::vary::VARY;
 use super::world::World;
 use crate::layout::{Modality, Scale};
 use crate::yaml::{is_name, shorten, unknown};
@@ -89,18 +89,7 @@ fn name(name: &str) -> Result<(), Fault> {
 
 /// Refuses names of readings that are invalid or not unique.
 fn readings(experiment: &Experiment) -> Result<(), Fault> {
-    for (index, Reading { name, runs, .. }) in experiment.readings.iter().enumerate() {
-        let roles: Vec<&str> = match experiment.vary.get(ROLE) {
-            Some(Json::Object(labels)) => labels.keys().map(String::as_str).collect(),
-            _ => Vec::new(),
-        };
-        if let Some(role) = runs.keys().find(|role| !roles.contains(&role.as_str())) {
-            let problem = match roles.as_slice() {
-                [] => format!("'{role}' is no label of '{VARY}.{ROLE}', because there is no such axis"),
-                roles => format!("'{role}' is no label of '{VARY}.{ROLE}'; these are {}", roles.join(", ")),
-            };
-            return fault(format!("readings.{index}.runs.{role}"), problem);
-        }
+    for (index, Reading { name, .. }) in experiment.readings.iter().enumerate() {
         let path = format!("readings.{index}.name");
         if name == Reading::BASE {
             return fault(
@@ -249,10 +238,33 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
             Given::Disturbed(inputs) => disturbances(&format!("given.{index}"), experiment, inputs)?,
         }
     }
-    if let ModalityDropout::Of(rates) = &training.modality_dropout
-        && let Some(modality) = rates.keys().find(|modality| !input.contains(modality))
-    {
-        return no_input(format!("training.modality_dropout.{modality}"), modality);
+    let path = "training.modality_dropout";
+    match &training.modality_dropout {
+        ModalityDropout::Every(_) => {}
+        ModalityDropout::Of(rates) => {
+            if let Some(modality) = rates.keys().find(|modality| !input.contains(modality)) {
+                return no_input(format!("{path}.{modality}"), modality);
+            }
+        }
+        ModalityDropout::Together(all) => {
+            for (index, Together { inputs, .. }) in all.iter().enumerate() {
+                let lacking = inputs.iter().position(|modality| !input.contains(modality));
+                if let Some(place) = lacking {
+                    return no_input(format!("{path}.{index}.inputs.{place}"), &inputs[place]);
+                }
+                if inputs.is_empty() || input.iter().all(|modality| inputs.contains(modality)) {
+                    let problem =
+                        "name at least one input, and not all of them, because a network needs an input";
+                    return fault(format!("{path}.{index}.inputs"), problem);
+                }
+            }
+            if all.iter().map(|one| one.probability).sum::<f64>() >= 1.0 {
+                return fault(
+                    path,
+                    "the probabilities are 1 or more together; a window lacks one item at most",
+                );
+            }
+        }
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use super::changes::{BOTH, MEMORIES, WINDOW, bench, predicting, trained};
 use super::*;
 use harness_judge::Predictor;
-use harness_spec::ModalityDropout;
+use harness_spec::{ModalityDropout, Together};
 
 #[test]
 fn a_missing_input_is_at_its_mean() {
@@ -31,10 +31,12 @@ fn a_missing_input_is_at_its_mean() {
 
 #[test]
 fn windows_lack_inputs_at_their_rates_but_never_all_of_them() {
-    let rates = BTreeMap::from([(Modality::ARM, 0.9), (Modality::VISION, 0.9)]);
+    let rates = ModalityDropout::Of([(Modality::ARM, 0.9), (Modality::VISION, 0.9)].into());
+    let inputs = [Modality::ARM, Modality::VISION, Modality::PROPRIOCEPTION];
     let mut missing = Random::new(7, Stream::Missing { epoch: 0 });
-    let draw = |missing: &mut Random, inputs| {
-        Draw::Sample { random: &mut random(0), dropout: 0.0, missing }.keeping(&rates, inputs, 20_000)
+    let draw = |missing: &mut Random, number: usize| {
+        let mut draw = Draw::Sample { random: &mut random(0), dropout: 0.0, missing };
+        draw.keeping(&rates, &inputs[..number], 20_000)
     };
     let share = |kept: &[f32]| f64::from(kept.iter().sum::<f32>()) / kept.len() as f64;
     // Of three inputs, the third one is always there.
@@ -45,8 +47,33 @@ fn windows_lack_inputs_at_their_rates_but_never_all_of_them() {
     assert!(of_two.values().all(|kept| (share(kept) - 0.1 / 0.19).abs() < 0.02));
     let [arm, vision] = [Modality::ARM, Modality::VISION].map(|modality| &of_two[&modality]);
     assert!(arm.iter().zip(vision).all(|(arm, vision)| arm + vision > 0.0));
-    assert!(Draw::Mean.keeping(&rates, 2, 5).is_empty());
+    assert!(Draw::Mean.keeping(&rates, &inputs, 5).is_empty());
     assert_eq!(draw(&mut Random::new(7, Stream::Missing { epoch: 0 }), 3), of_three);
+}
+
+#[test]
+fn a_window_lacks_the_inputs_of_one_item_together() {
+    let item = |inputs: &[Modality], probability| Together { inputs: inputs.to_vec(), probability };
+    let touch = [Modality::CONTACT_FORCE, Modality::CONTACT_FORCE_MEAN];
+    let items = [item(&touch, 0.3), item(&[Modality::ARM], 0.2), item(&[Modality::ARM, touch[0]], 0.4)];
+    let dropout = ModalityDropout::Together(items.to_vec());
+    let input = [touch[0], touch[1], Modality::ARM, Modality::PROPRIOCEPTION];
+    let mut missing = Random::new(7, Stream::Missing { epoch: 0 });
+    let mut draw = Draw::Sample { random: &mut random(0), dropout: 0.0, missing: &mut missing };
+    let windows = 20_000;
+    let kept = draw.keeping(&dropout, &input, windows);
+    assert!(!kept.contains_key(&Modality::PROPRIOCEPTION));
+    let share = |of: [f32; 3]| {
+        let is_so = |window: &usize| {
+            [touch[0], touch[1], Modality::ARM].map(|modality| kept[&modality][*window]) == of
+        };
+        (0..windows).filter(is_so).count() as f64 / windows as f64
+    };
+    for (of, expected) in
+        [([0.0, 0.0, 1.0], 0.3), ([1.0, 1.0, 0.0], 0.2), ([0.0, 1.0, 0.0], 0.4), ([1.0; 3], 0.1)]
+    {
+        assert!((share(of) - expected).abs() < 0.015, "{of:?}: {}", share(of));
+    }
 }
 
 /// The terms of the loss, when all windows lack an input in training, and when the network gets only the other one. The

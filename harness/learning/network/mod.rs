@@ -28,7 +28,7 @@ use description::Layer;
 use harness_metrics::force::THRESHOLD_N;
 use harness_ops::{self as ops, Arithmetic, Dropout, Values};
 use harness_samples::Normalizers;
-use harness_spec::{Family, Layout, Loss, Modality, RunSpec, Task, Trained, Window};
+use harness_spec::{Family, Layout, Loss, Modality, ModalityDropout, RunSpec, Task, Trained, Window};
 use layers::{Builder, Made};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -280,6 +280,30 @@ pub struct Seen {
     pub divergences: Option<Tensor>,
 }
 
+/// Draws which inputs a training window lacks.
+fn lacking(dropout: &ModalityDropout, inputs: usize, random: &mut Random) -> Vec<Modality> {
+    match dropout {
+        ModalityDropout::Every(_) => Vec::new(),
+        ModalityDropout::Of(rates) => loop {
+            let drawn = rates.iter().filter(|(_, rate)| random.happens(**rate));
+            let drawn: Vec<Modality> = drawn.map(|(modality, _)| *modality).collect();
+            if drawn.len() < inputs {
+                break drawn;
+            }
+        },
+        ModalityDropout::Together(all) => {
+            // The probability of an item, given that it is none of those before it.
+            let mut left = 1.0;
+            let drawn = all.iter().find(|one| {
+                let happens = random.happens((one.probability / left).min(1.0));
+                left -= one.probability;
+                happens
+            });
+            drawn.map(|one| one.inputs.clone()).unwrap_or_default()
+        }
+    }
+}
+
 /// How latent states are drawn.
 pub enum Draw<'a> {
     /// From the posterior, for training.
@@ -308,20 +332,21 @@ impl Draw<'_> {
         }
     }
 
-    /// Returns which of `windows` windows have each input that they lack with these probabilities. Each keeps at
-    /// least one of its `inputs` inputs. Nothing is lacking in validation and test.
-    pub fn keeping(&mut self, rates: &BTreeMap<Modality, f64>, inputs: usize, windows: usize) -> Keeping {
+    /// Returns which of `windows` windows have each input that may be lacking. Each keeps at least one input. Nothing is
+    /// lacking in validation and test.
+    pub fn keeping(&mut self, dropout: &ModalityDropout, input: &[Modality], windows: usize) -> Keeping {
         let Self::Sample { missing, .. } = self else { return Keeping::new() };
-        let mut keeping: Keeping = rates.keys().map(|modality| (*modality, vec![1.0; windows])).collect();
+        let dropout = dropout.of_inputs(input);
+        let may_lack: Vec<Modality> = match &dropout {
+            ModalityDropout::Every(_) => return Keeping::new(),
+            ModalityDropout::Of(rates) => rates.keys().copied().collect(),
+            ModalityDropout::Together(all) => all.iter().flat_map(|one| one.inputs.iter().copied()).collect(),
+        };
+        let mut keeping: Keeping =
+            may_lack.into_iter().map(|modality| (modality, vec![1.0; windows])).collect();
         for window in 0..windows {
-            let lacking = loop {
-                let drawn: Vec<bool> = rates.values().map(|rate| missing.happens(*rate)).collect();
-                if drawn.iter().filter(|is_lacking| **is_lacking).count() < inputs {
-                    break drawn;
-                }
-            };
-            for (kept, is_lacking) in keeping.values_mut().zip(lacking) {
-                kept[window] = if is_lacking { 0.0 } else { 1.0 };
+            for modality in lacking(&dropout, input.len(), missing) {
+                keeping.entry(modality).and_modify(|kept| kept[window] = 0.0);
             }
         }
         keeping
