@@ -153,12 +153,12 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
         ),
         (
             "training: {modality_dropout: [{inputs: [arm, proprioception], probability: 0.1}]}\n",
-            "spec.yaml:7:40: 'training.modality_dropout.0.inputs': name at least one input, and not all of them, \
+            "spec.yaml:7:40: name at least one input, and not all of them, \
              because a network needs an input",
         ),
         (
             "training: {modality_dropout: [{inputs: [arm], probability: 0.6}, {inputs: [arm], probability: 0.4}]}\n",
-            "spec.yaml:7:30: 'training.modality_dropout': the probabilities are 1 or more together; a window lacks \
+            "spec.yaml:7:30: the probabilities are 1 or more together; a window lacks \
              one item at most",
         ),
         (
@@ -1767,10 +1767,6 @@ fn readings_that_cannot_be_told_apart_or_run_are_refused() {
         let said = refusal(format!("{BASE}{addition}"));
         assert!(said.starts_with(expected), "{said}");
     }
-    let others =
-        reading("target", "action: target").replace("}}]", "}, runs: {small: {experiment: other}}}]");
-    let said = refusal(format!("{BASE}{others}"));
-    assert!(said.starts_with("spec.yaml:7:") && said.contains("'small' is no label"), "{said}");
     let twice = readings().replace("name: long", "name: target");
     assert_eq!(refusal(twice), "spec.yaml:9:10: there is a reading 'target' already");
     assert!(override_refusal("readings=[]").starts_with("override 'readings=[]': unknown key 'readings'"));
