@@ -52,6 +52,22 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
+fn predictions_of_the_first_test_episodes_are_copied() {
+    let (results, copy) = (fresh("published_many"), fresh("published_few"));
+    let vectors =
+        ["scenarios=[empty]", "input=[proprioception]", "output=[proprioception]", "tasks=[prediction]"];
+    let more = ["network.preset=single_to_multi", "test={episodes: 22, seed: 0}"];
+    succeed(&results, &[&["run", SMOKE][..], &vectors, &more].concat());
+    succeed(&results, &["publish", "smoke", "--output", copy.to_str().unwrap()]);
+    let sql = "select count(distinct episode) as n, max(episode) as last from predictions";
+    assert_eq!(csv(&results, sql), "n,last\n22,21\n");
+    assert_eq!(csv(&copy, sql), "n,last\n20,19\n");
+    let again = fresh("published_few_again");
+    succeed(&copy, &["publish", "smoke", "--output", again.to_str().unwrap()]);
+    assert_eq!(csv(&again, sql), "n,last\n20,19\n");
+}
+
+#[test]
 fn a_copy_of_a_copy_is_complete() {
     let (copy, again) = (fresh("published_twice"), fresh("published_again"));
     let of_seed = |seed: &str| {

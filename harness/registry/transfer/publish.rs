@@ -40,6 +40,9 @@ pub enum PublishError {
     Busy(#[from] Busy),
 }
 
+/// The most test episodes whose predictions are copied.
+pub const EPISODES: usize = 20;
+
 /// The result of [`publish`].
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Published {
@@ -71,7 +74,7 @@ impl Content<'_> {
 /// out. Tables about single samples are copied without most of their rows.
 ///
 /// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
-/// joints and links and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
+/// joints and links in the first [`EPISODES`] test episodes and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
 /// images are copied. The forces are copied of one run for each dataset, reading and role. Of a published copy, all
 /// rows are copied. A run of the same cell and seed that was published before is replaced, unless it is one of `chosen`
 /// too.
@@ -184,7 +187,11 @@ impl Shown {
                     let index = last.map(|index| col("index").eq(lit(index))).reduce(Expr::or);
                     col("modality").eq(lit(definition.name.name())).and(index.unwrap_or(lit(false)))
                 });
-                rows.lazy().filter(is_last.reduce(Expr::or).unwrap_or(lit(false))).collect()
+                let episodes = rows.column("episode")?.unique()?.sort(SortOptions::default())?;
+                let last = episodes.i64()?.get(EPISODES.min(episodes.len()).saturating_sub(1));
+                let is_early = last.map_or(lit(true), |last| col("episode").lt_eq(lit(last)));
+                let is_kept = is_last.reduce(Expr::or).unwrap_or(lit(false)).and(is_early);
+                rows.lazy().filter(is_kept).collect()
             }
             Table::Frames if is_lowest_seed => Ok(rows),
             Table::Forces if self.forces.get(&forces_of(record)) == Some(&record.run) => Ok(rows),
