@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 
 /// A query whose answer has nulls, integers, texts with commas and quotes, and real numbers of 17 digits.
 const SQL: &str = "select experiment, run, 'a, \"b\" | c' as text, latent, prediction_seconds / 3 as third, reason \
-                   from runs order by experiment, run limit 300";
+                   from runs join (select experiment, run from epochs where term = 'total' and split = 'train') \
+                   using (experiment, run) order by experiment, run limit 300";
 
 /// The commands, and the noun for their rows.
 const COMMANDS: [(&[&str], &str); 4] = [
     (&["query", SQL], "row"),
     (&["ls", "which_sense"], "run"),
     (&["compare", "recommended"], "mean"),
-    (&["claims"], "verdict"),
+    (&["claims", "forces_are_distal", "force_errors_stay_high"], "verdict"),
 ];
 
 fn reference() -> PathBuf {

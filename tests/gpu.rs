@@ -420,10 +420,9 @@ impl Kind {
                 preset: Preset::MultiToMulti,
                 hidden: self.hidden.to_vec(),
                 channels: Some(self.channels.to_vec()),
-                average: 1,
                 fusion: self.fusion,
                 memory: self.memory,
-                memory_samples: 5,
+                ..Network::default()
             },
             arithmetic: arithmetic(precision),
             changes: BTreeMap::new(),

@@ -20,7 +20,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const CASES: u64 = 3;
+const CASES: u64 = 2;
 const FIGURES: [&str; 5] = [
     "forces_dataset",
     "prediction_results",

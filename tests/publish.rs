@@ -56,7 +56,7 @@ fn predictions_of_the_first_test_episodes_are_copied() {
     let (results, copy) = (fresh("published_many"), fresh("published_few"));
     let vectors =
         ["scenarios=[empty]", "input=[proprioception]", "output=[proprioception]", "tasks=[prediction]"];
-    let more = ["network.preset=single_to_multi", "test={episodes: 22, seed: 0}"];
+    let more = ["network.preset=single_to_multi", "test.episodes=22", "test.seed=0"];
     succeed(&results, &[&["run", SMOKE][..], &vectors, &more].concat());
     succeed(&results, &["publish", "smoke", "--output", copy.to_str().unwrap()]);
     let sql = "select count(distinct episode) as n, max(episode) as last from predictions";

@@ -123,10 +123,12 @@ fn published_runs_come_from_commits() {
 }
 
 /// A validation error of 1 is that of the mean, or of no change for an image. The paper's recipe is published as it is.
+/// Two numbers that are trained to predict forces do not reconstruct the angles, which docs/reproduction.md names.
 #[test]
 fn published_networks_have_learned_each_output() {
     let sql = "select experiment, run, task, term, min(value) as least from epochs where split = 'validation' and term \
-               not in ('total', 'kl') and run not like '%reading=base%' \
+               not in ('total', 'kl') and run not like '%reading=base%' and not (latent = 2 and \
+               task = 'reconstruction') \
                group by all having min(value) > 0.9";
     let rows = ask(&reference(), sql);
     assert!(rows.is_empty(), "{rows:#?}");

@@ -521,10 +521,11 @@ fn an_experiment_with_other_inputs_is_no_study_in_figures() {
         assert_eq!(answer.code, 0, "{}", answer.stderr);
         between(&fs::read_to_string(out).unwrap(), "<section id=\"figures\">", "</section>").to_owned()
     };
+    let few = ["latent=[4]", "seeds=[0]"];
     for (path, name) in [(SINGLE, "single_to_multi"), (MULTI, "multi_to_multi"), (MULTI, "same_input")] {
-        succeed(&folder, &[&["run", path][..], &TINY, &[&format!("name={name}")]].concat());
+        succeed(&folder, &[&["run", path][..], &TINY, &few, &[&format!("name={name}")]].concat());
     }
-    succeed(&folder, &[&["run", SINGLE][..], &TINY, &["name=senses", "input=[arm]"]].concat());
+    succeed(&folder, &[&["run", SINGLE][..], &TINY, &few, &["name=senses", "input=[arm]"]].concat());
     // The networks of senses have other inputs than those of multi_to_multi.
     let without_multi = figures(&["single_to_multi", "senses"]);
     assert!(without_multi.contains("id=\"figure-forces_dataset\""));

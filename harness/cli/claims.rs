@@ -178,18 +178,18 @@ impl Claims {
         if !is_short {
             print_contacts(readings.analysis(), std::slice::from_ref(&spec.name))?;
         }
+        let own = matrix.columns().find(|(name, _)| *name == OWN).map(|(_, judgments)| judgments);
         let lacks_runs = |(name, judgments): (&str, Vec<&Judgment>)| {
             name != OWN && judgments.iter().any(|judgment| judgment.verdict() == Verdict::NoData)
         };
-        if matrix.columns().any(lacks_runs) {
+        if matrix.columns().any(lacks_runs) || own.is_none() && !matrix.left_out.is_empty() {
             let name = spec.name.strip_suffix(QUICK).unwrap_or(&spec.name).to_owned();
             print_commands(readings.analysis(), std::iter::once(&name), self.quick);
         }
-        let own = matrix.columns().find(|(name, _)| *name == OWN).map(|(_, judgments)| judgments);
-        if own.is_some() && !is_short {
+        let Some(own) = own else { return Ok(ExitCode::from(DONE)) };
+        if !is_short {
             print_contacts(runs, &self.experiments(&claims))?;
         }
-        let own = own.unwrap_or_default();
         print_absent(runs, &own, self.quick)?;
         let left_out = matrix.left_out.iter().flat_map(|claim| &claim.experiments);
         print_commands(runs, lacking(&own).chain(left_out), self.quick);

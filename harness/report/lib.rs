@@ -105,6 +105,10 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
         Err(FigureError::NoRuns { experiment, command, .. }) => {
             (format!("There is no finished run of {experiment}."), command)
         }
+        Err(FigureError::NoRole { experiment, reading, role, command }) => {
+            let of = format!("{experiment} under the reading {reading} in the role {role}");
+            (format!("There is no finished run of {of}."), command)
+        }
         Err(FigureError::NoRows { experiment, there, command, .. }) => {
             let reason = format!("The finished runs of {experiment} ({there}) have no rows for this part.");
             (reason, command.filter(|_| asked.experiments.is_empty()))
