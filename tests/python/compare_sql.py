@@ -74,13 +74,6 @@ def main(results: Path, answers: Path) -> None:
         for name, kind in database.execute(f"select name, type from pragma_table_info('{table}')").fetchall():
             if kind == "FLOAT":
                 database.execute(f'alter table {table} alter "{name}" type double')
-    # In published rows, models of other programs are called networks. They have no latent state.
-    external = "model = 'network' and latent is null"
-    named = f"case when {external} then architecture else model end as model, "
-    named += f"model = 'network' and not ({external}) as trained_here"
-    columns = [name for (name,) in database.execute("select name from pragma_table_info('metrics')").fetchall()]
-    columns = ", ".join(named if name == "model" else f'"{name}"' for name in columns)
-    database.execute(f"create or replace table metrics as select {columns} from metrics")
     runs = str(answers / "runs.parquet")
     database.execute("create table runs as select * from read_parquet($runs)", {"runs": runs})
     found = []
