@@ -458,12 +458,9 @@ def claims(
         RuntimeError: a table is damaged.
 
     Example:
-        >>> verdicts = harness.claims("vision_improves_force_r2", results="results/reference")
-        >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
-        (['empty', 'cluttered'], ['holds', 'undecided'])
         >>> verdicts = harness.claims("vision_improves_force_r2", reading="recommended", results="results/reference")
-        >>> verdicts["verdict"].to_list()
-        ['holds', 'holds']
+        >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
+        (['empty', 'cluttered'], ['undecided', 'does not hold'])
     """
     import polars
 

@@ -14,7 +14,7 @@ import harness
 from harness import recorded
 from harness.export.runs import Run, read_runs
 
-EXPERIMENTS = ("which_sense", "recommended", "oracle")
+EXPERIMENTS = ("recommended", "oracle", "reproduction")
 
 
 BLANK = "sha256-seal:" + "-" * 64
@@ -83,9 +83,7 @@ def test_further_rows_change_no_answer(folders: tuple[Path, Path], tmp_path: Pat
     same(lambda results: pl.read_csv(harness.plot("recommended", results=results, **axes)))
     for name in ("prediction_results", "regression"):
         drawn = [
-            harness.figures(
-                name, experiment="recommended", folder=tmp_path, formats="csv", results=results
-            )[0].read_text()
+            harness.figures(name, folder=tmp_path, formats="csv", results=results)[0].read_text()
             for results in folders
         ]
         assert drawn[0] == drawn[1] and drawn[0].count("\n") > 3
