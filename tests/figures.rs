@@ -80,18 +80,6 @@ pub fn words_of(svg: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn a_baseline_of_several_variants_is_one_curve() {
-    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    let out = fresh("figures_baseline");
-    let more = ["--experiment", "history", "--format", "svg", "--output", out.to_str().unwrap()];
-    succeed(&reference, &[&["figures", "horizon"][..], &more].concat());
-    let words = words_of(&fs::read_to_string(out.join("horizon.svg")).unwrap());
-    assert!(words.contains("touch") && words.contains("touch_now"), "{words:?}");
-    assert!(words.contains("persistence") && words.contains("training mean"), "{words:?}");
-    assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
-}
-
-#[test]
 fn a_figure_without_rows_suggests_a_run_only_if_it_adds_some() {
     let (results, folder) = (fresh("figures_without_rows"), tempfile::tempdir().unwrap());
     let smoke = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SMOKE)).unwrap();
@@ -136,6 +124,7 @@ fn a_figure_with_too_many_series_leaves_out_baselines_first() {
         let remark =
             format!("more than 12 series: {}", if networks > 12 { "ridge, " } else { "" }) + left_out;
         assert!(words.iter().any(|text| text.ends_with(&remark)), "{remark}: {words:?}");
+        assert!(!words.iter().any(|text| text.ends_with(", persistence")), "{words:?}");
         assert!(words.contains("persistence") && words.contains("w10") == (networks > 10), "{words:?}");
         assert_eq!(words.contains("training mean"), networks == 10, "{words:?}");
         assert!(!words.contains("w11"), "{words:?}");
