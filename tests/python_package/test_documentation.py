@@ -140,6 +140,7 @@ def test_the_page_on_metrics_has_every_metric_and_baseline(library: Path) -> Non
     rows = harness.query("select distinct metric, model from metrics", library)
     metrics = {re.sub(r"^\w+_from_\d+s$", "METRIC_from_Ns", name) for name in rows["metric"]}
     metrics = {re.sub("^relative_error_.+", "relative_error_REGION", name) for name in metrics}
+    metrics = {re.sub(r"^pit_\d$", "pit_BIN", name) for name in metrics}
     phase = r"^[a-z]\w+_(contact|onset|sustained|release|free)$"
     metrics = {re.sub(phase, "METRIC_PHASE", name) for name in metrics}
     metrics = {re.sub("^(r2|rmse|mae|wmape)_.+", "METRIC_KIND", name) for name in metrics}
