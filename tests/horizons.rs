@@ -139,14 +139,17 @@ fn further_rows_change_no_other_answer() {
     let [plain, further] = ["horizons_plain", "horizons_further"].map(|name| {
         published_without(&["history", "missing", "choose_recommended", "intervals", "recommended"], name)
     });
-    // These runs have further rows already.
+    // Some runs have further rows already, and two datasets are enough.
     for results in [&plain, &further] {
-        for run in runs(results).iter().filter(|run| run.join(Table::AllMetrics.file_name()).exists()) {
-            fs::remove_dir_all(run).unwrap();
+        for run in runs(results) {
+            let is_of_more = ["-data2-", "-data3-"].iter().any(|part| run.to_str().unwrap().contains(part));
+            if is_of_more || run.join(Table::AllMetrics.file_name()).exists() {
+                fs::remove_dir_all(run).unwrap();
+            }
         }
     }
     let added = runs(&further);
-    assert!(added.len() > 80);
+    assert!(added.len() > 40);
     added.iter().for_each(|run| add_further_rows(run));
     for command in COMMANDS {
         let (expected, found) = (answer(&plain, command), answer(&further, command));

@@ -164,7 +164,7 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
         (
             "training: {modality_dropout: 1}\n",
             "spec.yaml:7:30: 'training.modality_dropout': expected a finite number of at least 0 and below 1 or a \
-             section of keys, found 1",
+             section of keys or a list of items, each a section of keys, found 1",
         ),
     ]);
 }
