@@ -623,6 +623,16 @@ fn given_a_contact_the_right_distribution_covers_what_it_promises() {
 }
 
 #[test]
+fn a_reference_is_placed_among_draws() {
+    let ensemble = Ensemble::new(Members::Draws, 4, vec![4.0, 2.0, 1.0, 2.0]).unwrap();
+    let draws = ensemble.at(0);
+    // One of four is smaller, and two are equal, so that there are three places among five.
+    assert_eq!([draws.pit(2.0, 0.0), draws.pit(2.0, 1.0)], [1.0 / 5.0, 4.0 / 5.0]);
+    assert_eq!([draws.pit(3.0, 0.5), draws.pit(0.0, 0.0), draws.pit(9.0, 1.0)], [3.5 / 5.0, 0.0, 1.0]);
+    assert_eq!([0.0, 1.0, 2.0, 4.0].map(|threshold| draws.above(threshold)), [1.0, 0.75, 0.25, 0.0]);
+}
+
+#[test]
 fn one_member_is_a_point() {
     for (reference, member) in [(0.0, 0.0), (1.5, 4.0), (3.0, -2.5)] {
         for members in [Members::Draws, Members::Quantiles] {
