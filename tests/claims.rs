@@ -788,6 +788,17 @@ fn no_run_is_added_to_published_results() {
 }
 
 #[test]
+fn settings_choose_among_the_runs_of_readings_if_there_are_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::new(folder.path());
+    write_reproduction(&registry, |_| &[2, 4, 16], |_| Same);
+    let base = succeed(folder.path(), &["claims", "--where", "reading=base"]);
+    assert!(base.contains(" 0 do not hold") && !base.contains("recommended "), "{base}");
+    let first = succeed(folder.path(), &["claims", "--all", "--where", "simulation.seed=0"]);
+    assert!(first.contains("n = 1") && !first.contains("n = 2"), "{first}");
+}
+
+#[test]
 fn a_reading_without_runs_has_no_column() {
     let (folder, registry) = results(&[0, 1, 2], |_| Same);
     // On each dataset there is a network with vision of latent size 64. Another size was trained on one of them only.

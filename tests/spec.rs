@@ -157,7 +157,7 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
              because a network needs an input",
         ),
         (
-            "training: {modality_dropout: [{inputs: [arm], probability: 0.6}, {inputs: [arm], probability: 0.4}]}\n",
+            "training: {modality_dropout: [{inputs: [arm], probability: 0.7}, {inputs: [arm], probability: 0.2}, {inputs: [arm], probability: 0.1}]}\n",
             "spec.yaml:7:30: the probabilities are 1 or more together; a window lacks \
              one item at most",
         ),

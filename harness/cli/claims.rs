@@ -60,8 +60,13 @@ impl Claims {
         let is_of_spec = |setting: &&Setting| {
             spec.as_ref().is_some_and(|spec| setting.experiment.as_ref() == Some(&spec.name))
         };
-        let (of_spec, own): (Vec<Setting>, Vec<Setting>) =
+        let (mut of_spec, mut own): (Vec<Setting>, Vec<Setting>) =
             self.runs.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
+        let mut experiments = chosen.iter().flat_map(|claim| claim.experiments(self.quick));
+        if spec.is_some() && !experiments.any(|name| registry.runs().join(name).is_dir()) {
+            // Without runs of the claims' own experiments, all settings are about the readings.
+            of_spec.append(&mut own);
+        }
         let runs = claims::runs_of(registry, recorded.clone(), &chosen, &own, self.quick)?;
         let is_about_all = !self.plan && (own.is_empty() || !of_spec.is_empty());
         if let Some(spec) = spec.as_ref().filter(|_| is_about_all) {
