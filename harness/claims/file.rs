@@ -33,8 +33,7 @@ impl ClaimsFile {
     ) -> Result<Option<Experiment>, SpecError> {
         let Some(path) = &self.readings else { return Ok(None) };
         let spec = harness_spec::load(path, &[], quick)?;
-        let has_runs = registry.runs().join(&spec.name).is_dir();
-        Ok(has_runs.then_some(spec))
+        Ok(registry.has_runs(&spec.name).then_some(spec))
     }
 }
 

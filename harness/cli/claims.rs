@@ -63,7 +63,7 @@ impl Claims {
         let (mut of_spec, mut own): (Vec<Setting>, Vec<Setting>) =
             self.runs.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
         let mut experiments = chosen.iter().flat_map(|claim| claim.experiments(self.quick));
-        if spec.is_some() && !experiments.any(|name| registry.runs().join(name).is_dir()) {
+        if spec.is_some() && !experiments.any(|name| registry.has_runs(&name)) {
             // Without runs of the claims' own experiments, all settings are about the readings.
             of_spec.append(&mut own);
         }

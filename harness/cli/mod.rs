@@ -351,7 +351,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures --quick
   harness figures propriovision_to_vision --reading reproduction/base
   harness figures --experiment my_robot
-  harness figures horizon --experiment memory --of contact_force
+  harness figures horizon --experiment history --of contact_force
 
 The figures show the runs of single_to_multi and multi_to_multi. If runs are missing, a message names the command that \
 creates them. The figure horizon shows the runs of memory. Runs of one experiment that differ in settings can't be \

@@ -1,11 +1,7 @@
 //! A reading of an experiment, whose runs figures can show.
 
-use harness_registry::Registry;
 use harness_spec::{Experiment, SpecError, load};
 use std::path::Path;
-
-/// The spec whose last reading is shown if there are no runs of the paper's experiments.
-const REPRODUCTION: &str = "reproduction";
 
 /// A reading of an experiment: `reproduction/recommended`.
 #[derive(Debug, Clone)]
@@ -59,19 +55,10 @@ impl OfReading {
         Ok(Self { spec, reading: wanted.to_owned() })
     }
 
-    /// The reading that is shown where nothing else is asked for: the last one of the spec `reproduction`, if the
-    /// results folder has runs of it and none of the experiments `paper`.
-    ///
-    /// # Errors
-    /// When the spec can't be read.
-    pub fn instead_of(paper: &[String], registry: &Registry, quick: bool) -> Result<Option<Self>, SpecError> {
-        let has_runs = |name: &String| registry.runs().join(name).is_dir();
-        if paper.iter().any(has_runs) {
-            return Ok(None);
-        }
-        let spec = load(Path::new(REPRODUCTION), &[], quick)?;
-        let last = spec.readings.last().map(|reading| reading.name.clone()).filter(|_| has_runs(&spec.name));
-        Ok(last.map(|reading| Self { spec, reading }))
+    /// The last reading of a spec; `None` if it has no readings.
+    pub fn last_of(spec: Experiment) -> Option<Self> {
+        let reading = spec.readings.last()?.name.clone();
+        Some(Self { spec, reading })
     }
 
     /// The name of the experiment.

@@ -4,7 +4,11 @@ use super::reading::OfReading;
 use super::source::{Experiments, Source};
 use harness_analysis::{Analysis, AnalysisError, Selection, Setting};
 use harness_registry::Registry;
-use harness_spec::SpecError;
+use harness_spec::{SpecError, load};
+use std::path::Path;
+
+/// The spec whose last reading is shown if there are no runs of the paper's experiments.
+const REPRODUCTION: &str = "reproduction";
 
 /// The experiments that the paper's figures show.
 #[derive(Debug, Clone, Default)]
@@ -20,19 +24,19 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// The same, with the reading that [`OfReading::instead_of`] names if no experiment is asked for.
+    /// The same or, if nothing is asked for, with the last reading of the spec `reproduction`. The results folder must have
+    /// runs of that spec, and none of the paper's experiments.
     ///
     /// # Errors
-    /// When the spec of the reading can't be read.
+    /// When the spec `reproduction` can't be read.
     pub fn or_reproduction(self, registry: &Registry) -> Result<Self, SpecError> {
-        match (&self.single, &self.multi, &self.reading) {
-            (None, None, None) => {
-                let paper = Experiments::of_the_paper(self.quick).names();
-                let reading = OfReading::instead_of(&paper, registry, self.quick)?;
-                Ok(Self { reading, ..self })
-            }
-            _ => Ok(self),
+        let is_asked = self.single.is_some() || self.multi.is_some() || self.reading.is_some();
+        if is_asked || self.experiments().names().iter().any(|name| registry.has_runs(name)) {
+            return Ok(self);
         }
+        let spec = load(Path::new(REPRODUCTION), &[], self.quick)?;
+        let has_runs = registry.has_runs(&spec.name);
+        Ok(Self { reading: OfReading::last_of(spec).filter(|_| has_runs), ..self })
     }
 
     /// Finds the finished runs that the figures show.
@@ -52,13 +56,13 @@ impl Shown {
 
     fn experiments(&self) -> Experiments {
         let paper = Experiments::of_the_paper(self.quick);
-        let of_reading = self.reading.as_ref().map(OfReading::experiment);
-        let instead =
-            |own: &Option<String>, usual: String| of_reading.or(own.as_deref()).map_or(usual, str::to_owned);
-        Experiments {
-            single_to_multi: instead(&self.single, paper.single_to_multi.clone()),
-            multi_to_multi: instead(&self.multi, paper.multi_to_multi.clone()),
-            ..paper
+        match &self.reading {
+            Some(reading) => paper.replaced_by(reading.experiment()),
+            None => Experiments {
+                single_to_multi: self.single.clone().unwrap_or(paper.single_to_multi),
+                multi_to_multi: self.multi.clone().unwrap_or(paper.multi_to_multi),
+                ..paper
+            },
         }
     }
 }

@@ -74,6 +74,11 @@ impl Experiments {
         Self { single_to_multi: named(), multi_to_multi: named(), horizons: named() }
     }
 
+    /// The same, with this experiment for both studies.
+    pub fn replaced_by(self, experiment: &str) -> Self {
+        Self { horizons: self.horizons, ..Self::all_of(experiment) }
+    }
+
     /// The name of a study's experiment.
     pub fn of(&self, study: Study) -> &str {
         match study {

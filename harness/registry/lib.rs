@@ -154,6 +154,11 @@ impl Registry {
         self.root.join("runs")
     }
 
+    /// Whether a run of an experiment has started, finished or not.
+    pub fn has_runs(&self, experiment: &str) -> bool {
+        self.runs().join(experiment).is_dir()
+    }
+
     /// The folder with the copies of an experiment's tables, and what was checked of its runs. It can be deleted at any
     /// time.
     pub fn compacted(&self, experiment: &str) -> PathBuf {

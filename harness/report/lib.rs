@@ -32,7 +32,7 @@ use harness_analysis::{Analysis, AnalysisError, Selection, Setting, has_settings
 use harness_catalog::QueryError;
 use harness_claims::{self as claims, Claim, ClaimsError, ClaimsFile};
 use harness_figures::source::{Experiments, Source};
-use harness_figures::{FORCES_SQL, FigureError, OfReading};
+use harness_figures::{FORCES_SQL, FigureError, OfReading, Shown};
 use harness_registry::{Registry, RunRecord, Status, quoted};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
@@ -331,7 +331,7 @@ pub fn page(
     let claims = asked.claims(&file.claims);
     let quick = asked.is_quick();
     let reading = match asked.experiments.is_empty() {
-        true => OfReading::instead_of(&Experiments::of_the_paper(quick).names(), registry, quick)?,
+        true => Shown { quick, ..Shown::default() }.or_reproduction(registry)?.reading,
         false => None,
     };
     let analysis = asked.analysis(registry, &claims, reading.as_ref())?;

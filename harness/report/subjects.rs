@@ -30,7 +30,7 @@ pub struct Subject {
 pub fn studies(analysis: &Analysis, asked: &Asked, reading: Option<&OfReading>) -> Experiments {
     let paper = Experiments::of_the_paper(asked.is_quick());
     if let Some(reading) = reading {
-        return Experiments { horizons: paper.horizons, ..Experiments::all_of(reading.experiment()) };
+        return paper.replaced_by(reading.experiment());
     }
     let name = |study: Study| {
         let own = paper.of(study);

@@ -415,7 +415,8 @@ impl RunSpec {
         label_in(&self.variant, "reading")
     }
 
-    /// Returns the label of the axis `role`, by which claims compare readings; `None` if the run's experiment has no such axis.
+    /// Returns the label of the axis `role`, by which claims compare readings; `None` if the run's experiment has no such
+    /// axis.
     pub fn role(&self) -> Option<&str> {
         label_in(&self.variant, "role")
     }
