@@ -10,7 +10,7 @@ use harness_kernels::product::{Arithmetic, Unit};
 use harness_learning::data::NormalizedData;
 use harness_learning::network::description::Description;
 use harness_learning::network::{
-    Architecture, Draw, Encoder, Observation, Parameters, Score, Targets, Value,
+    Architecture, Draw, Encoder, Expert, Observation, Parameters, Posterior, Score, Targets, Value,
 };
 use harness_learning::objective::{Objective, Prediction, Weighted};
 use harness_learning::random::{Random, Stream};
@@ -1303,9 +1303,12 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
         &[Modality::PROPRIOCEPTION, Modality::VISION, Modality::FRAME_DIFFERENCE],
     ];
     for (input, output) in sides.iter().flat_map(|input| sides.iter().map(move |output| (input, output))) {
-        for (fusion, hidden) in
-            [(Fusion::Early, vec![7]), (Fusion::Early, vec![5, 6]), (Fusion::Late, vec![7, 4])]
-        {
+        for (fusion, hidden) in [
+            (Fusion::Early, vec![7]),
+            (Fusion::Early, vec![5, 6]),
+            (Fusion::Late, vec![7, 4]),
+            (Fusion::Product, vec![7, 4]),
+        ] {
             let architecture = Architecture {
                 input: input.to_vec(),
                 output: output.to_vec(),

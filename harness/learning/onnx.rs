@@ -564,6 +564,7 @@ impl Writer<'_> {
             Operation::SumAndMaximum { objects } => {
                 self.sum_and_maximum(&inputs[0], output, *objects, layer.output[0] / 2);
             }
+            Operation::ProductOfExperts => self.product(&inputs, &output, layer.output[0] / 2),
             Operation::Average { size } => {
                 let sides = [*size as i64; 2];
                 let attributes =
@@ -604,6 +605,25 @@ impl Writer<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Adds nodes that compute the product of Gaussian distributions and of the standard normal distribution.
+    fn product(&mut self, experts: &[String], output: &str, latent: usize) {
+        let mut precision = self.number(format!("{output}.one"), 1.0);
+        let mut weighted = self.number(format!("{output}.zero"), 0.0);
+        for expert in experts {
+            let of = |part: &str| format!("{expert}.{part}");
+            self.split(expert, &[(of("mean"), latent), (of("log_variance"), latent)]);
+            let negative = self.node("Neg", &[of("log_variance")], of("negative"), Vec::new());
+            let own = self.node("Exp", &[negative], of("precision"), Vec::new());
+            let part = self.node("Mul", &[&of("mean"), &own], of("weighted"), Vec::new());
+            precision = self.node("Add", &[precision, own], of("precisions"), Vec::new());
+            weighted = self.node("Add", &[weighted, part], of("sum"), Vec::new());
+        }
+        let mean = self.node("Div", &[&weighted, &precision], format!("{output}.mean"), Vec::new());
+        let logarithm = self.node("Log", &[precision], format!("{output}.logarithm"), Vec::new());
+        let log_variance = self.node("Neg", &[logarithm], format!("{output}.log_variance"), Vec::new());
+        self.node("Concat", &[mean, log_variance], output.to_owned(), vec![Attribute::int("axis", 1)]);
     }
 
     /// Adds nodes that make the objects of a set rows of a batch.

@@ -50,7 +50,7 @@ pub enum Preset {
 }
 names!(Preset { SingleToMulti => "single_to_multi", MultiToMulti => "multi_to_multi" });
 
-/// The layer in which an encoder joins images and vectors.
+/// Where an encoder joins its inputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fusion {
@@ -60,8 +60,13 @@ pub enum Fusion {
     /// One more fully connected layer, after separate hidden layers with layer normalization for images and for
     /// vectors. The decoder has separate hidden layers for each.
     Late,
+    /// None: each vector has hidden layers of its own, and so have all images together. Each of these experts estimates
+    /// the latent state as a Gaussian distribution. The posterior is the product of these distributions and of the
+    /// standard normal distribution, which is the prior (Wu & Goodman, 2018). An input that is lacking is no part of
+    /// the product. The decoder is that of `late`.
+    Product,
 }
-names!(Fusion { Early => "early", Late => "late" });
+names!(Fusion { Early => "early", Late => "late", Product => "product" });
 
 /// What a network knows of earlier samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
@@ -369,7 +374,7 @@ pub struct Network {
     #[schemars(range(min = 1, max = 32))]
     #[default(1)]
     pub average: usize,
-    /// The layer in which the encoder joins images and vectors.
+    /// Where the encoder joins its inputs.
     pub fusion: Fusion,
     /// What the network knows of earlier samples. A network with memory needs a `window` with a context of several
     /// samples.

@@ -8,8 +8,8 @@ use super::search::{Halving, Objective, Search};
 use super::simulation::{Setting, Simulation};
 use super::split::{Division, Split, Tested};
 use super::types::{
-    Device, Experiment, Family, Given, Loss, Memory, ModalityDropout, Network, Precision, Predict, Preset,
-    Reading, Settings, Task, TestDataset, Together, Training, WindowStart,
+    Device, Experiment, Family, Fusion, Given, Loss, Memory, ModalityDropout, Network, Precision, Predict,
+    Preset, Reading, Settings, Task, TestDataset, Together, Training, WindowStart,
 };
 use super::vary::VARY;
 use super::world::World;
@@ -699,6 +699,16 @@ fn window(experiment: &Experiment) -> Result<(), Fault> {
 fn memory(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { window, simulation, input, output, network, training, split, .. } = experiment;
     let has_memory = network.memory != Memory::None;
+    if has_memory && network.fusion == Fusion::Product {
+        return fault(
+            "network.fusion",
+            format!(
+                "a product of experts estimates the latent state of one sample, and network.memory: {} that of many; \
+                 use fusion: early or late, or memory: none",
+                network.memory.name()
+            ),
+        );
+    }
     if has_memory && window.context == 1 && window.horizon <= 1 {
         return fault(
             "window.context",

@@ -442,6 +442,12 @@ class Network(torch.nn.Module):
             case "sum_and_maximum":
                 objects = x.unflatten(0, (-1, layer["objects"]))
                 return torch.cat([objects.sum(1), objects.amax(1)], 1)
+            case "product_of_experts":
+                means, logarithms = zip(*(expert.chunk(2, 1) for expert in inputs), strict=True)
+                precisions = [torch.exp(-logarithm) for logarithm in logarithms]
+                precision = 1 + sum(precisions)
+                mean = sum(mean * own for mean, own in zip(means, precisions, strict=True)) / precision
+                return torch.cat([mean, -torch.log(precision)], 1)
             case "average":
                 return functional.avg_pool2d(x, layer["size"])
             case "flatten":

@@ -41,7 +41,7 @@ impl Added {
         };
         let added = Self {
             network: Box::new(network),
-            fusion: Box::new(toy_fusion::Product(encoder(INPUT[0]), encoder(INPUT[1]))),
+            fusion: Box::new(toy_fusion::MeanOfBoth(encoder(INPUT[0]), encoder(INPUT[1]))),
             baseline: Box::new(toy_baseline::Zero(Modality::ARM, ARM_JOINTS, WINDOW.horizons())),
             predictions: tests().join("toy_predictions.csv"),
         };
@@ -358,7 +358,7 @@ fn files_with(folder: &Path, word: &str) -> Vec<String> {
 fn an_addition_takes_one_file_and_one_registration() {
     let tests = tests();
     for (name, file) in
-        [("Integrator", "toy_network.rs"), ("Product", "toy_fusion.rs"), ("Zero", "toy_baseline.rs")]
+        [("Integrator", "toy_network.rs"), ("MeanOfBoth", "toy_fusion.rs"), ("Zero", "toy_baseline.rs")]
     {
         assert_eq!(files_with(&tests, name), ["additions.rs", file], "{name}");
         let registrations = include_str!("additions.rs").matches(&format!("::{name}")).count();

@@ -100,3 +100,80 @@ fn a_window_that_lacks_an_input_has_the_loss_of_one_that_is_not_given() {
         assert_eq!(trained(&other, network, &window).given(), Some("other"));
     }
 }
+
+/// The numbers of a matrix, row by row.
+fn numbers(tensor: candle_core::Result<Tensor>) -> Vec<f32> {
+    tensor.unwrap().flatten_all().unwrap().to_vec1().unwrap()
+}
+
+#[test]
+fn a_product_of_one_expert_is_that_expert_and_precisions_of_several_are_added() {
+    let gaussian = |seed| {
+        let values = normal(&mut random(seed), &[4, 6]);
+        Posterior::new(&values.narrow(1, 0, 3).unwrap(), &values.narrow(1, 3, 3).unwrap()).unwrap()
+    };
+    let column = |kept: [f32; 4]| Tensor::from_vec(kept.to_vec(), (4, 1), &Device::Cpu).unwrap();
+    let product = |experts: Vec<(u64, [f32; 4])>| {
+        let experts = experts.into_iter();
+        let experts =
+            experts.map(|(seed, kept)| Expert { posterior: gaussian(seed), kept: Some(column(kept)) });
+        Posterior::product(&experts.collect::<Vec<_>>()).unwrap()
+    };
+    let close = |one: &Posterior, other: &Posterior, rows: &[usize]| {
+        for (one, other) in [(one.mean(), other.mean()), (one.log_variance(), other.log_variance())]
+            .map(|(a, b)| (numbers(a), numbers(b)))
+        {
+            assert!(
+                rows.iter().all(|row| (3 * row..3 * row + 3).all(|at| (one[at] - other[at]).abs() < 1e-6))
+            );
+        }
+    };
+    close(&product(vec![(1, [1.0; 4])]), &gaussian(1), &[0, 1, 2, 3]);
+    let both = product(vec![(1, [1.0; 4]), (2, [1.0, 0.0, 1.0, 0.0])]);
+    close(&both, &gaussian(1), &[1, 3]);
+    let [one, other] =
+        [1, 2].map(|seed| (numbers(gaussian(seed).mean()), numbers(gaussian(seed).log_variance())));
+    for at in (0..3).chain(6..9) {
+        let (a, b) = ((-one.1[at]).exp(), (-other.1[at]).exp());
+        assert!((numbers(both.log_variance())[at] + (a + b).ln()).abs() < 1e-6);
+        assert!((numbers(both.mean())[at] - (a * one.0[at] + b * other.0[at]) / (a + b)).abs() < 1e-6);
+    }
+    assert!(Posterior::product(&[]).is_err());
+}
+
+/// With the prior, which is a standard normal distribution, the precision given both inputs is the sum of those given
+/// each, minus 1.
+#[test]
+fn a_product_leaves_out_the_input_that_is_not_given() {
+    let bench = Bench::new();
+    let network = Network { fusion: Fusion::Product, ..bench.architecture().network };
+    let architecture = Architecture { network, ..bench.architecture() };
+    let encoder = architecture.encoder(&mut Parameters::new(), &mut random(0), &Device::Cpu).unwrap();
+    let at = at(0..5);
+    let posterior = |data: &NormalizedData| {
+        let posterior = encoder.encode(&data.inputs(&at, &INPUT).unwrap()).unwrap();
+        let precision: Vec<f32> =
+            numbers(posterior.log_variance()).into_iter().map(|log| (-log).exp()).collect();
+        (numbers(posterior.mean()), precision)
+    };
+    let both = posterior(&bench.data);
+    let [one, other] = [0, 1].map(|index| posterior(&bench.data.giving(vec![INPUT[index]], "")));
+    for (index, precision) in both.1.iter().enumerate() {
+        let (a, b) = (one.1[index], other.1[index]);
+        assert!(a > 1.0 && b > 1.0 && (precision - (a + b - 1.0)).abs() < 1e-4, "{precision}, {a}, {b}");
+        let mean = (a * one.0[index] + b * other.0[index]) / precision;
+        assert!((both.0[index] - mean).abs() < 1e-5);
+    }
+    // Some windows lack an input.
+    let kept = [(INPUT[1], vec![1.0, 0.0, 1.0, 0.0, 0.0])].into();
+    let some = encoder.encode(&bench.data.inputs(&at, &INPUT).unwrap().keeping(&kept).unwrap()).unwrap();
+    let (mean, latent) = (numbers(some.mean()), some.latent().unwrap());
+    for row in 0..5 {
+        let expected = if [0, 2].contains(&row) { &both.0 } else { &one.0 };
+        let columns = row * latent..(row + 1) * latent;
+        assert!(
+            mean[columns.clone()].iter().zip(&expected[columns]).all(|(a, b)| (a - b).abs() < 1e-6),
+            "{row}"
+        );
+    }
+}

@@ -1,7 +1,6 @@
 //! Sets of objects: their order does not matter, and each object does.
 
 use super::*;
-use harness_learning::network::Posterior;
 
 /// Number of objects, each of two values.
 const OBJECTS: usize = JOINTS / 2;
@@ -58,7 +57,7 @@ fn networks_do_not_know_the_order_of_a_sets_objects() {
         &[Modality::PROPRIOCEPTION, Modality::ARM, Modality::VISION],
     ];
     for (input, fusion) in
-        inputs.into_iter().flat_map(|input| [(input, Fusion::Early), (input, Fusion::Late)])
+        inputs.into_iter().flat_map(|input| Fusion::ALL.iter().map(move |fusion| (input, *fusion)))
     {
         let architecture = architecture(input, fusion);
         let mut parameters = Parameters::new();

@@ -1,23 +1,20 @@
-//! A fusion of two encoders: the product of their distributions.
+//! A fusion of two encoders: the mean of their parameters.
 
 use candle_core::Result;
 use harness_learning::network::description::Layer;
 use harness_learning::network::{Encoder, Observation, Posterior};
 use harness_ops::Dropout;
 
-/// Multiplies the Gaussian distributions of two encoders: their precisions are added.
-pub struct Product(pub Box<dyn Encoder>, pub Box<dyn Encoder>);
+/// Averages the means and the log-variances of two encoders.
+pub struct MeanOfBoth(pub Box<dyn Encoder>, pub Box<dyn Encoder>);
 
-impl Encoder for Product {
+impl Encoder for MeanOfBoth {
     fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
         let [one, other] =
             [&self.0, &self.1].map(|encoder| encoder.encode_with_dropout(observation, dropout));
         let (one, other) = (one?, other?);
-        let precision = |posterior: &Posterior| posterior.log_variance()?.neg()?.exp();
-        let (of_one, of_other) = (precision(&one)?, precision(&other)?);
-        let precision = (&of_one + &of_other)?;
-        let mean = (((one.mean()? * of_one)? + (other.mean()? * of_other)?)? / &precision)?;
-        Posterior::new(&mean, &precision.log()?.neg()?)
+        let mean = ((one.mean()? + other.mean()?)? / 2.0)?;
+        Posterior::new(&mean, &((one.log_variance()? + other.log_variance()?)? / 2.0)?)
     }
 
     fn detached(&self) -> Box<dyn Encoder> {

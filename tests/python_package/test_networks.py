@@ -50,6 +50,14 @@ OTHERS: dict[str, Overrides] = {
         "network.hidden": [12, 8, 6],
         "network.channels": [3, 5],
     },
+    "product": {"network.fusion": "product"},
+    "product of vectors": {"network.fusion": "product", "input": ["proprioception", "arm", "contact_force"]},
+    "product with a set": {
+        "scenarios": ["cluttered"],
+        "input": ["arm", "boxes_from_arm", "vision"],
+        "network.fusion": "product",
+        "network.hidden": [12, 8, 6],
+    },
     "deep": {"network.hidden": [12, 8, 6], "network.channels": [3, 5, 4, 2], "input": ["vision", "arm"]},
     "deep, vectors": {"network.hidden": [12, 8, 6], "input": ["proprioception"], "output": ["contact_force"]},
     "target": {"action": "target"},
@@ -177,6 +185,7 @@ GROUPS: dict[str, Callable[[Overrides], bool]] = {
     "several hidden layers": lambda settings: many(settings["network.hidden"]),
     "averaged images": lambda settings: settings["network.average"] > 1,
     "late fusion": lambda settings: settings["network.fusion"] == "late",
+    "product of experts": lambda settings: settings["network.fusion"] == "product",
     "the next setpoint as action": lambda settings: settings["action"] == "target",
     "scaling by element": lambda settings: "per_element" in json.dumps(settings["scaling"]),
     "training in bf16": lambda settings: settings.get("training.precision") == "bf16",
@@ -683,7 +692,7 @@ def test_the_documented_torch_code_computes_every_layer(folder: Path) -> None:
     names: dict[str, Any] = {}
     exec(code_in_the_documentation("torch"), names)
     computed = set()
-    for kind in ("averaged", "averaged, late, deep"):
+    for kind in ("averaged", "averaged, late, deep", "product"):
         trained = Trained(kind, folder)
         network = harness.load_network(trained.run, trained.results)
         tensors = dict(network.named_parameters())
@@ -702,8 +711,10 @@ def test_the_documented_torch_code_computes_every_layer(folder: Path) -> None:
         trained.assert_equal({"frame_difference": image.numpy()}, expected)
         computed |= {layer["kind"] for part in ("encoder", "decoder") for layer in network.description[part]}
     assert computed == {
+        "columns",
         "concatenate",
         "flatten",
+        "product_of_experts",
         "reshape",
         "average",
         "dense",

@@ -277,6 +277,9 @@ pub enum Operation {
         /// Number of samples.
         samples: usize,
     },
+    /// The product of Gaussian distributions and of the standard normal distribution. Each input has means, followed by
+    /// log-variances, and so has the output.
+    ProductOfExperts,
     /// Layer normalization over the row: (x - mean) / sqrt(variance + epsilon) * weight + bias.
     LayerNormalization {
         /// Name of the weight, `[width]`.
@@ -361,6 +364,7 @@ impl Layer {
             | Operation::Average { .. }
             | Operation::Flatten
             | Operation::Reshape
+            | Operation::ProductOfExperts
             | Operation::LastSamples { .. } => Vec::new(),
             Operation::Dense { weights, bias, .. } => weights.iter_mut().chain([bias]).collect(),
             Operation::GatedRecurrentUnit { input_weight, input_bias, hidden_weight, hidden_bias } => {

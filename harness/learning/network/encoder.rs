@@ -3,8 +3,8 @@
 use super::description::{Activation, Layer, Operation, POSTERIOR};
 use super::layers::{Builder, Dense, FLAT, FrameInput, Norm, Perceptron, numbered};
 use super::vectors::VectorInput;
-use super::{Architecture, Encoder, Observation, Posterior};
-use candle_core::{Result, Tensor};
+use super::{Architecture, Encoder, Expert, Observation, Posterior};
+use candle_core::{DType, Result, Tensor};
 use harness_ops::frames::Frames;
 use harness_ops::{Arithmetic, Dropout, Stack};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
@@ -16,6 +16,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     Ok(match architecture.network.fusion {
         Fusion::Early if images.is_empty() => Box::new(VectorEncoder::new(architecture, vectors, builder)?),
         Fusion::Early => Box::new(EarlyEncoder::new(architecture, vectors, images, builder)?),
+        Fusion::Product => Box::new(ProductEncoder::new(architecture, vectors, images, builder)?),
         Fusion::Late => Box::new(LateEncoder::new(architecture, vectors, images, builder)?),
     })
 }
@@ -292,6 +293,120 @@ impl Encoder for LateEncoder {
         layers.push(Layer::concatenate("parts", &parts, self.joint.weight.dim(1)?));
         layers.push(self.joint.layer("joint", "parts", true)?);
         layers.push(self.posterior.layer(POSTERIOR, "joint", false)?);
+        Ok(layers)
+    }
+}
+
+/// Encodes each vector and all images separately, each to a distribution of the latent state. The posterior is the
+/// product of these experts and of the prior. Source: Wu & Goodman, 2018, *Multimodal generative models for scalable
+/// weakly-supervised learning*.
+struct ProductEncoder {
+    vectors: Vec<VectorExpert>,
+    images: Option<ImageExpert>,
+    latent: usize,
+}
+
+/// The layers of a vector in a [`ProductEncoder`].
+struct VectorExpert {
+    modality: Modality,
+    input: VectorInput,
+    layers: Perceptron,
+}
+
+/// The layers of all images in a [`ProductEncoder`].
+struct ImageExpert {
+    images: Vec<Modality>,
+    input: FrameInput,
+    bias: Tensor,
+    layers: Perceptron,
+}
+
+impl ProductEncoder {
+    fn new(
+        architecture: &Architecture,
+        vectors: Vec<Modality>,
+        images: Vec<Modality>,
+        builder: &mut Builder,
+    ) -> Result<Self> {
+        let hidden = architecture.network.hidden.as_slice();
+        let latent = architecture.latent;
+        let mut start = 0;
+        let mut expert = |modality: Modality| {
+            let input = VectorInput::starting_at(start, architecture, &[modality], builder)?;
+            start += architecture.layout[modality].width();
+            let widths = [&[input.width()], hidden, &[2 * latent]].concat();
+            let layers = builder.perceptron(&format!("expert_{modality}"), &widths)?;
+            Ok(VectorExpert { modality, input, layers })
+        };
+        let vectors = vectors.into_iter().map(&mut expert).collect::<Result<_>>()?;
+        let mut expert = |images: Vec<Modality>| {
+            let input = frame_input(architecture, &images, "frame.weight", hidden[0], builder)?;
+            let bias = builder.uniform("frame.bias", &[hidden[0]], input.stack.coarse_len())?;
+            let layers = builder.perceptron("expert_images", &[hidden, &[2 * latent]].concat())?;
+            Ok::<_, candle_core::Error>(ImageExpert { images, input, bias, layers })
+        };
+        let images = (!images.is_empty()).then(|| expert(images)).transpose()?;
+        Ok(Self { vectors, images, latent })
+    }
+}
+
+impl Encoder for ProductEncoder {
+    fn encode_with_dropout(&self, observation: &Observation, dropout: Option<Dropout>) -> Result<Posterior> {
+        let mut experts = Vec::new();
+        for VectorExpert { modality, input, layers } in &self.vectors {
+            let posterior = layers.forward(&input.forward(observation)?, false)?;
+            let kept = observation.kept(&[*modality], posterior.device())?;
+            experts.push(Expert { posterior: Posterior(posterior), kept });
+        }
+        if let Some(ImageExpert { images, input, bias, layers }) = &self.images {
+            let hidden = input.forward(&observation.frames(images)?, dropout)?.broadcast_add(bias)?.relu()?;
+            let posterior = layers.forward(&hidden, false)?;
+            let kept = observation.kept(images, posterior.device())?;
+            experts.push(Expert { posterior: Posterior(posterior), kept });
+        }
+        let of_all = &experts[0].posterior.0;
+        let prior = Tensor::zeros((of_all.dim(0)?, 2 * self.latent), DType::F32, of_all.device())?;
+        experts.push(Expert { posterior: Posterior(prior), kept: None });
+        Posterior::product(&experts)
+    }
+
+    fn detached(&self) -> Box<dyn Encoder> {
+        let vectors = self.vectors.iter().map(|expert| VectorExpert {
+            modality: expert.modality,
+            input: expert.input.detached(),
+            layers: expert.layers.detached(),
+        });
+        let images = self.images.as_ref().map(|expert| ImageExpert {
+            images: expert.images.clone(),
+            input: expert.input.detached(),
+            bias: expert.bias.detach(),
+            layers: expert.layers.detached(),
+        });
+        Box::new(Self { vectors: vectors.collect(), images, latent: self.latent })
+    }
+
+    fn layers(&self) -> Result<Vec<Layer>> {
+        let (mut layers, mut experts) = (Vec::new(), Vec::new());
+        for expert in &self.vectors {
+            layers.extend(expert.input.layers_of_one()?);
+            let input = layers[layers.len() - 1].name.clone();
+            layers.extend(expert.layers.layers(&input, false)?);
+            experts.push(layers[layers.len() - 1].name.clone());
+        }
+        if let Some(ImageExpert { input, bias, layers: of_images, .. }) = &self.images {
+            layers.extend(input.layers());
+            let dense = Dense { weight: input.weight.clone(), bias: bias.clone() };
+            layers.push(dense.layer("frame", FLAT, true)?);
+            layers.extend(of_images.layers("frame", false)?);
+            experts.push(layers[layers.len() - 1].name.clone());
+        }
+        layers.push(Layer {
+            name: POSTERIOR.into(),
+            operation: Operation::ProductOfExperts,
+            inputs: experts,
+            output: vec![2 * self.latent],
+            parameters: 0,
+        });
         Ok(layers)
     }
 }

@@ -596,6 +596,24 @@ impl Posterior {
         Tensor::cat(&[mean, log_variance], 1).map(Self)
     }
 
+    /// Returns the product of distributions. Its precision is the sum of theirs, and its mean is theirs, weighted by
+    /// precision. An expert has no precision in the rows that it is not of.
+    ///
+    /// # Errors
+    /// When there are no experts, or tensors have other shapes.
+    pub fn product(experts: &[Expert]) -> Result<Self> {
+        let precision = |Expert { posterior, kept }: &Expert| {
+            let precision = posterior.log_variance()?.neg()?.exp()?;
+            kept.as_ref().map_or(Ok(precision.clone()), |kept| precision.broadcast_mul(kept))
+        };
+        let precisions = experts.iter().map(precision).collect::<Result<Vec<_>>>()?;
+        let weighted =
+            experts.iter().zip(&precisions).map(|(expert, precision)| expert.posterior.mean()? * precision);
+        let weighted = sum(weighted.collect::<Result<Vec<_>>>()?)?;
+        let precision = sum(precisions)?;
+        Self::new(&(weighted / &precision)?, &precision.log()?.neg()?)
+    }
+
     /// Returns the size of the latent state.
     pub fn latent(&self) -> Result<usize> {
         Ok(self.0.dim(1)? / 2)
@@ -635,6 +653,21 @@ impl Posterior {
     pub fn kl_divergence(&self) -> Result<Tensor> {
         ops::kl_divergence(&self.0)
     }
+}
+
+/// A distribution that is multiplied with others.
+pub struct Expert {
+    /// The distribution.
+    pub posterior: Posterior,
+    /// The rows that it is of, `[batch, 1]`: 1 for a row that it is of, and 0 for others. `None` if it is of all.
+    pub kept: Option<Tensor>,
+}
+
+/// Returns the sum of tensors of one shape.
+fn sum(tensors: Vec<Tensor>) -> Result<Tensor> {
+    let mut tensors = tensors.into_iter();
+    let Some(first) = tensors.next() else { candle_core::bail!("there is nothing to add") };
+    tensors.try_fold(first, |sum, tensor| sum + tensor)
 }
 
 /// Returns the mean of scalars.

@@ -38,8 +38,17 @@ struct SetInput {
 impl VectorInput {
     /// Creates the layers of the sets among `vectors`: two for each, as wide as the encoder's first hidden layer.
     pub fn new(architecture: &Architecture, vectors: &[Modality], builder: &mut Builder) -> Result<Self> {
+        Self::starting_at(0, architecture, vectors, builder)
+    }
+
+    /// Creates the layers of the sets among `vectors`, the first of which starts at this column of all vectors.
+    pub fn starting_at(
+        mut start: usize,
+        architecture: &Architecture,
+        vectors: &[Modality],
+        builder: &mut Builder,
+    ) -> Result<Self> {
         let mut input = Self { others: Vec::new(), ranges: Vec::new(), sets: Vec::new() };
-        let mut start = 0;
         for modality in vectors.iter().copied() {
             let definition = &architecture.layout[modality];
             let len = definition.width();
@@ -86,6 +95,20 @@ impl VectorInput {
             others: self.others.clone(),
             ranges: self.ranges.clone(),
             sets: self.sets.iter().map(SetInput::detached).collect(),
+        }
+    }
+
+    /// Describes the layers of a single vector, which take it from all vectors. The last one gives what
+    /// [`Self::forward`] computes.
+    pub fn layers_of_one(&self) -> Result<Vec<Layer>> {
+        match self.sets.as_slice() {
+            [set] => set.layers(),
+            _ => {
+                let operation = Operation::Columns { ranges: self.ranges.clone() };
+                let name = format!("vector_{}", self.others[0]);
+                let output = vec![self.others_width()];
+                Ok(vec![Layer::without_parameters(&name, operation, VECTORS, output)])
+            }
         }
     }
 
