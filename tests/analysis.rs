@@ -204,6 +204,7 @@ fn an_unpaired_difference_is_that_of_welch_s_test() {
     let (low, high) = difference.interval(LEVEL).bounds.unwrap();
     assert!((difference.p_value(0.0).unwrap() - 0.122_121_1).abs() < 1e-6, "{difference:?}");
     assert!((low - -11.316_035).abs() < 1e-5 && (high - 1.982_702).abs() < 1e-5, "{low} {high}");
+    assert_eq!(difference.count(), 3);
     assert_eq!(Estimate::difference(&[1.0], &[2.0, 3.0]).unwrap().interval(LEVEL).bounds, None);
     assert_eq!(Estimate::difference(&[], &[2.0, 3.0]), None);
     let equal = Estimate::difference(&[1.0, 1.0], &[2.0, 2.0]).unwrap();

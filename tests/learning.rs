@@ -23,7 +23,7 @@ use harness_ops::{
     Adam, Dropout, FrameDecoder, Quantity, Stack, TwoLayers, composed, frame_decoder, frame_encoder,
     frame_loss, kl_divergence, linear, sample, two_layers, vector_losses,
 };
-use harness_samples::{Normalizers, Partition, Sample};
+use harness_samples::{Normalizer, Normalizers, Partition, Sample};
 use harness_shared::progress::Progress;
 use harness_spec::{
     Action, Family, Fusion, Layout, Loss, Memory, Modality, Network, Preset, Scenario, Schedule, Split, Stop,
@@ -1221,6 +1221,14 @@ fn normalized_values_have_mean_0_and_deviation_1_and_restore() {
     normalizers.modalities[&Modality::ARM].denormalize(&mut values);
     let physical = at.iter().flat_map(|sample| bench.data.samples.vector(Modality::ARM, *sample).to_vec());
     assert!(values.iter().zip(physical).all(|(value, physical)| (value - physical).abs() < 1e-5));
+}
+
+#[test]
+fn a_deviation_is_scaled_by_its_elements_own_without_the_mean() {
+    let normalizer = Normalizer { mean: vec![5.0, 7.0], std: vec![2.0, 3.0], minimum: Some(100.0) };
+    let mut deviations = vec![1.0, 1.0, -2.0, 0.5];
+    normalizer.denormalize_deviations(&mut deviations);
+    assert_eq!(deviations, [2.0, 3.0, -4.0, 1.5]);
 }
 
 #[test]

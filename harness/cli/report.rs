@@ -6,6 +6,7 @@ use super::progress::Bars;
 use super::table::shown;
 use anyhow::Result;
 use clap::Args;
+use harness::dataset::AnyDataset;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::report::Asked;
@@ -18,6 +19,9 @@ pub struct Report {
     /// Report only on these experiments, as `harness ls` names them [default: all results]
     #[arg(value_name = "EXPERIMENT")]
     experiments: Vec<String>,
+    /// Show what this dataset contains instead, before any training: its folder's name in `datasets`, or the beginning
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["experiments", "claims", "quick", "settings"])]
+    dataset: Option<String>,
     /// The HTML file to write
     #[arg(long, short, alias = "out", value_name = "FILE", default_value = "report.html", value_parser = page)]
     output: PathBuf,
@@ -43,10 +47,17 @@ fn page(path: &str) -> Result<PathBuf, String> {
 impl Report {
     /// Writes the report.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
-        let claims = claims::load(&self.claims)?;
-        registry.check_there()?;
-        let asked = Asked { experiments: self.experiments, settings: self.runs.settings, quick: self.quick };
-        let page = report::page(registry, &claims, &asked, &Bars::default())?;
+        let progress = Bars::default();
+        let page = match &self.dataset {
+            Some(name) => report::dataset_page(&AnyDataset::named(&registry.datasets(), name)?, &progress)?,
+            None => {
+                let claims = claims::load(&self.claims)?;
+                registry.check_there()?;
+                let (experiments, settings) = (self.experiments, self.runs.settings);
+                let asked = Asked { experiments, settings, quick: self.quick };
+                report::page(registry, &claims, &asked, &progress)?
+            }
+        };
         write_bytes(&self.output, page.as_bytes())?;
         println!("{}, {}", shown(&self.output), harness::numbers::bytes(page.len() as u64));
         Ok(ExitCode::from(DONE))

@@ -12,6 +12,7 @@
 mod cache;
 mod clips;
 mod course;
+mod dataset;
 mod figures;
 mod horizon;
 mod images;
@@ -25,6 +26,8 @@ mod subjects;
 mod training;
 mod verdicts;
 
+pub use dataset::dataset_page;
+
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use clips::Shot;
@@ -33,6 +36,7 @@ use harness_catalog::QueryError;
 use harness_claims::{self as claims, Claim, ClaimsError, ClaimsFile};
 use harness_figures::source::{Experiments, Source};
 use harness_figures::{FORCES_SQL, FigureError, OfReading, Shown};
+use harness_registry::dataset::DatasetError;
 use harness_registry::{Registry, RunRecord, Status, quoted};
 use harness_shared::progress::Progress;
 use harness_simulation::SimulationError;
@@ -73,6 +77,12 @@ pub enum ReportError {
     /// The template can't be rendered.
     #[error("the page can't be put together: {0}")]
     Page(#[from] minijinja::Error),
+    /// A dataset can't be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A picture can't be encoded.
+    #[error("a picture can't be written: {0}")]
+    Picture(#[from] image::ImageError),
     /// The data for the page's script can't be written as JSON.
     #[error("the page's data can't be written: {0}")]
     Data(#[from] serde_json::Error),
@@ -412,7 +422,7 @@ pub fn page(
         regression_absent,
         data: script_safe(&serde_json::to_string(&data)?),
     };
-    Ok(render(&page)?)
+    Ok(rendered("page.html", TEMPLATE, &page)?)
 }
 
 /// Films the scenes of the paper that the page is about, and the other worlds of the asked experiments. A world that
@@ -452,13 +462,14 @@ fn clips(
     Ok((clips, frames))
 }
 
-fn render(page: &Page) -> Result<String, minijinja::Error> {
+/// Renders a page with a template, whose name ends in `.html`.
+fn rendered(name: &str, template: &str, page: &impl Serialize) -> Result<String, minijinja::Error> {
     let mut templates = Environment::new();
     // A name in the template that the page doesn't define is an error.
     templates.set_undefined_behavior(UndefinedBehavior::SemiStrict);
     // minijinja escapes text for HTML because the template's name ends in `.html`.
-    templates.add_template("page.html", TEMPLATE)?;
-    templates.get_template("page.html")?.render(Serde(page))
+    templates.add_template(name, template)?;
+    templates.get_template(name)?.render(Serde(page))
 }
 
 /// Escapes JSON for a `script` element, so that no text in it can end the element or open another one.
@@ -469,12 +480,18 @@ fn script_safe(json: &str) -> String {
 /// The page's content security policy. It allows the pictures in the page, and the page's own style and script by their
 /// SHA-256. Injected text can't run as a script, and browsers load no other file.
 fn policy() -> String {
-    let digest = |text: &str| format!("'sha256-{}'", BASE64.encode(Sha256::digest(text)));
-    format!(
-        "default-src 'none'; img-src data:; style-src {}; script-src {}; base-uri 'none'; form-action 'none'",
-        digest(&STYLE),
-        digest(&SCRIPT)
-    )
+    format!("{}; script-src {}", style_policy(), digest(&SCRIPT))
+}
+
+/// The content security policy of a page without a script.
+fn style_policy() -> String {
+    let style = digest(&STYLE);
+    format!("default-src 'none'; img-src data:; style-src {style}; base-uri 'none'; form-action 'none'")
+}
+
+/// The SHA-256 of a style sheet or a script, as a content security policy has it.
+fn digest(text: &str) -> String {
+    format!("'sha256-{}'", BASE64.encode(Sha256::digest(text)))
 }
 
 /// Rounds to five significant digits. A chart can't show more, and the page's data are half as large.

@@ -59,6 +59,8 @@ fn noise_bias_and_drift_are_in_deviations_of_the_input() {
     let first = |all: &[Vec<Vec<f32>>]| all.iter().map(|episode| episode[10][0]).collect::<Vec<f32>>();
     assert!(first(&bias)[0] != first(&bias)[1] && first(&drift)[0] != first(&drift)[1]);
     assert!(first(&bias)[0].abs() > 1e-3 && first(&drift)[0].abs() > 1e-3);
+    // Each element has a shift of its own.
+    assert!([&bias, &drift].iter().all(|all| (all[0][10][0] - all[0][10][1]).abs() > 1e-3));
 }
 
 #[test]

@@ -4,10 +4,11 @@ use super::description::is_imported;
 use super::episode_file::push_all;
 use super::{Dataset, DatasetError, Imported};
 use harness_samples::{FramePlace, Recording, Samples};
+use harness_shared::files::folders;
 use harness_shared::numbers::counted;
 use harness_shared::progress::Progress;
 use harness_spec::{Definition, Element, Episode, Layout, Modality};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 impl From<Dataset> for AnyDataset {
@@ -42,6 +43,27 @@ impl AnyDataset {
         match folder.parent() {
             Some(root) if is_imported(folder) => Imported::open(root, &name).map(Self::Imported),
             _ => Dataset::at(folder).map(Self::Simulated),
+        }
+    }
+
+    /// Opens the dataset in the folder `root` that has this name, or the only one whose name begins so.
+    ///
+    /// # Errors
+    /// When there is no such dataset, or its description can't be read.
+    pub fn named(root: &Path, name: &str) -> Result<Self, DatasetError> {
+        let name_of =
+            |folder: &PathBuf| folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let all: Vec<String> = folders(root).iter().map(name_of).collect();
+        let there: Vec<String> = all.iter().filter(|one| one.starts_with(name)).cloned().collect();
+        match there.as_slice() {
+            _ if all.iter().any(|one| one == name) => Self::at(&root.join(name)),
+            [only] => Self::at(&root.join(only)),
+            _ => {
+                let is_one_of_several = !there.is_empty();
+                let there = if is_one_of_several { there } else { all };
+                let (name, root) = (name.to_owned(), root.to_owned());
+                Err(DatasetError::NotNamed { name, root, is_one_of_several, there })
+            }
         }
     }
 

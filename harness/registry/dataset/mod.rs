@@ -55,6 +55,24 @@ pub enum DatasetError {
         /// The folder of all datasets.
         root: PathBuf,
     },
+    /// No dataset, or more than one, has a name that begins so.
+    #[error("{} of the datasets in {} has a name that begins with '{name}'; there {}", match is_one_of_several {
+        true => "more than one",
+        false => "none",
+    }, root.display(), match there.as_slice() {
+        [] => "are no datasets".to_owned(),
+        there => format!("are {}", there.join(", ")),
+    })]
+    NotNamed {
+        /// The asked name.
+        name: String,
+        /// The folder of all datasets.
+        root: PathBuf,
+        /// Whether several names begin so.
+        is_one_of_several: bool,
+        /// The datasets whose names begin so, or all.
+        there: Vec<String>,
+    },
     /// The dataset lacks a modality that a spec uses.
     #[error("the dataset {dataset} contains no {modality}, which the experiment needs; it contains {held}")]
     Lacks {
