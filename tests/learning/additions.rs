@@ -387,3 +387,18 @@ fn an_addition_takes_one_file_and_one_registration() {
         assert_eq!(files_with(&harness, name), files, "{name}");
     }
 }
+
+#[test]
+fn a_numeric_setting_takes_at_most_four_files() {
+    let root = Path::new(ROOT);
+    // Declared once; a rule that depends on other settings, if there is one; used. The schema is generated.
+    for (name, files) in [
+        ("memory_samples", &["learning/network/window.rs", "spec/lib.rs", "spec/types.rs"][..]),
+        ("burn_in", &["learning/objective.rs", "spec/types.rs", "spec/validate.rs"]),
+        ("rollout_stride", &["learning/objective.rs", "spec/types.rs"]),
+    ] {
+        assert_eq!(files_with(&root.join("harness"), name), files, "{name}");
+        let schema = std::fs::read_to_string(root.join("experiments/schema.json")).unwrap();
+        assert_eq!(schema.matches(&format!("\"{name}\": {{")).count(), 1, "{name}");
+    }
+}
