@@ -4,6 +4,7 @@ use harness_analysis::{
     Estimate, Interval, Jackknife, LEVEL, holm, mean_interval, replicates, unpaired_replicates,
 };
 use harness_metrics::Metric;
+use harness_spec::Split;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -196,6 +197,26 @@ fn the_planned_number_excludes_the_bound_if_the_spread_stays() {
 }
 
 // --- unpaired differences ---
+
+#[test]
+fn a_difference_on_folds_allows_for_the_training_data_that_they_share() {
+    let differences = [0.01, 0.03, 0.02, 0.04, 0.05];
+    let plain = Estimate::of(&differences).unwrap();
+    // By hand: s² = 0.00025, r = 0.2 / 0.7, so that the standard error is √(0.00025 (1/5 + 0.2857)) = 0.011019, and t of
+    // 4 degrees of freedom is 2.776445.
+    let split = Split { folds: Some(5), ..Split::default() };
+    let ratio = split.test_to_training().unwrap();
+    assert!((ratio - 0.2 / 0.7).abs() < 1e-12);
+    let (low, high) = plain.of_folds(ratio).interval(LEVEL).bounds.unwrap();
+    assert!(
+        (low - (0.03 - 0.030_594)).abs() < 1e-5 && (high - (0.03 + 0.030_594)).abs() < 1e-5,
+        "{low} {high}"
+    );
+    assert!(plain.interval(LEVEL).low() > 0.0 && plain.of_folds(ratio).p_value(0.0).unwrap() > 0.05);
+    assert_eq!(plain.of_folds(0.0), plain);
+    assert_eq!(Split::default().test_to_training(), None);
+    assert_eq!(Split { folds: Some(2), validation: 0.5, ..split }.test_to_training(), None);
+}
 
 #[test]
 fn an_unpaired_difference_is_that_of_welch_s_test() {

@@ -96,6 +96,9 @@ impl Answer {
             all.push("a skill horizon that is the last horizon of the runs is a lower bound".to_owned());
         }
         all.extend(note_about_shared_test(&self.cells));
+        if self.cells.iter().any(|cell| cell.against.is_some() && cell.test_to_training.is_some()) {
+            all.push("differences on folds allow for the training data that folds share".to_owned());
+        }
         all.extend(self.notes.iter().cloned());
         all
     }
@@ -128,12 +131,10 @@ impl Answer {
             else {
                 continue;
             };
-            let difference = || {
-                let difference = mean.difference_from(of_base)?;
-                let p = difference.estimate()?.p_value(0.0);
-                Some(Mean { against: Some(base.to_owned()), p, ..difference })
+            let cell = match *own == side {
+                true => Some((*mean).clone()),
+                false => mean.difference_from(of_base, base),
             };
-            let cell = if *own == side { Some((*mean).clone()) } else { difference() };
             cells.extend(cell.map(|cell| (cell.of.clone(), cell)));
         }
         let mut cells: Vec<Mean> = cells.into_values().collect();

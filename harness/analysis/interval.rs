@@ -119,6 +119,15 @@ impl Estimate {
         Some(Self { mean: a.mean - b.mean, spread, count: a.count.min(b.count) })
     }
 
+    /// The estimate of a difference between two models on the folds of one dataset, whose training data overlap, by the
+    /// correction of Nadeau & Bengio (2003, *Inference for the generalization error*): the variance of the mean is s²
+    /// (1/n + r) instead of s²/n, where r is the number of test samples for each training sample.
+    pub fn of_folds(self, test_to_training: f64) -> Self {
+        let factor = (1.0 + self.count as f64 * test_to_training).sqrt();
+        let spread = self.spread.map(|spread| Spread { error: factor * spread.error, ..spread });
+        Self { spread, ..self }
+    }
+
     /// The number of values or, of a difference, the smaller one of both numbers.
     pub fn count(&self) -> usize {
         self.count

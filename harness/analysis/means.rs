@@ -36,6 +36,9 @@ pub struct Mean {
     /// Of a difference, the p-value of Student's t-test that it is 0, corrected by Holm's method for the number of
     /// differences in the answer. `None` with fewer than two values.
     pub p: Option<f64>,
+    /// Of values on folds, the number of test samples for each training sample. Folds share training data, so that
+    /// differences between models are less certain than their deviations say.
+    pub test_to_training: Option<f64>,
     /// How each value depends on the test episodes, if all are on the same ones. It is empty if this is not known,
     /// because the metric is no ratio of sums over episodes.
     pub test: Option<Vec<Jackknife>>,
@@ -118,7 +121,8 @@ impl Mean {
         let jackknives: Option<Vec<_>> =
             replicates.iter().map(|replicate| replicate.jackknife.clone()).collect();
         let test = is_shared.then(|| jackknives.unwrap_or_default());
-        Self::of_values(of, unit, values, seeds, test, over)
+        let test_to_training = replicates.first().and_then(|replicate| replicate.test_to_training);
+        Some(Self { test_to_training, ..Self::of_values(of, unit, values, seeds, test, over)? })
     }
 
     /// The mean of values with the seeds of their dataset and training; `None` without values.
@@ -132,8 +136,10 @@ impl Mean {
     ) -> Option<Self> {
         let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
         let interval = Interval { mean: 0.0, bounds: None };
-        let mean = Self { of, unit, values, seeds, datasets, interval, over, against: None, p: None, test };
-        Some(Self { interval: mean.interval_of(&mean.estimate()?), ..mean })
+        let (against, p, test_to_training) = (None, None, None);
+        let mean =
+            Self { of, unit, values, seeds, datasets, interval, over, against, p, test_to_training, test };
+        Some(mean.with_interval())
     }
 
     /// The seed of the dataset of each value.
@@ -141,9 +147,18 @@ impl Mean {
         self.seeds.iter().map(|(dataset, _)| *dataset).collect()
     }
 
+    /// The mean with the interval of its values.
+    fn with_interval(self) -> Self {
+        let interval = self.estimate().map_or(self.interval, |estimate| self.interval_of(&estimate));
+        Self { interval, ..self }
+    }
+
     /// The mean over datasets and seeds, with its standard error.
     pub(super) fn estimate(&self) -> Option<Estimate> {
-        Estimate::of(&replicates(self.dataset_seeds().into_iter().zip(self.values.iter().copied())))
+        let estimate =
+            Estimate::of(&replicates(self.dataset_seeds().into_iter().zip(self.values.iter().copied())))?;
+        let ratio = self.test_to_training.filter(|_| self.against.is_some() && self.datasets > 1);
+        Some(ratio.map_or(estimate, |ratio| estimate.of_folds(ratio)))
     }
 
     /// How the mean depends on the test episodes, if its interval is also over these.
@@ -169,10 +184,10 @@ impl Mean {
         }
     }
 
-    /// Returns the mean of the differences from `base`, over the seeds of dataset and training that both have; `None`
+    /// Returns the mean of the differences from `base`, the column with this heading, over the seeds of dataset and training that both have; `None`
     /// if they share none. A baseline has no seed of training, so its value is compared with every value on the same
     /// dataset. Both must be of the same scenario, so that the values are of the same data.
-    pub(super) fn difference_from(&self, base: &Mean) -> Option<Self> {
+    pub(super) fn difference_from(&self, base: &Mean, heading: &str) -> Option<Self> {
         let key = |(dataset, seed): &(u64, u64)| (*dataset, (!base.of.is_baseline()).then_some(*seed));
         let places: HashMap<_, usize> = base.seeds.iter().map(key).zip(0..).collect();
         let pairs = self.seeds.iter().enumerate();
@@ -184,7 +199,10 @@ impl Mean {
             let minus = |(one, other): &(usize, usize)| own.get(*one)?.minus(of_base.get(*other)?);
             pairs.iter().map(minus).collect::<Option<Vec<_>>>().unwrap_or_default()
         });
-        Self::of_values(self.of.clone(), self.unit.clone(), values, seeds, test, self.over)
+        let mean = Self::of_values(self.of.clone(), self.unit.clone(), values, seeds, test, self.over)?;
+        let (against, test_to_training) = (Some(heading.to_owned()), self.test_to_training);
+        let mean = Self { against, test_to_training, ..mean }.with_interval();
+        Some(Self { p: mean.estimate()?.p_value(0.0), ..mean })
     }
 
     /// Whether two means of a baseline share datasets, and have the same value on each of them, up to rounding.
@@ -295,6 +313,8 @@ struct Replicate {
     value: f64,
     /// The dataset of the test; `None` if it is the run's own.
     test: Option<String>,
+    /// The number of test samples for each training sample, if the run is of a fold.
+    test_to_training: Option<f64>,
     jackknife: Option<Jackknife>,
 }
 
@@ -364,7 +384,7 @@ impl Analysis {
             .map(|(place, run)| {
                 let (own, seeds) = (group(run), (run.record.spec.dataset_seed(), run.record.spec.seed));
                 let of_baselines = number(Of { latent: None, ..own.clone() });
-                let test = run.record.test_dataset.as_ref();
+                let test = (run.record.test_dataset.as_ref(), run.record.spec.split.test_to_training());
                 (
                     (&*run.record.experiment, &*run.record.run),
                     (place, [of_baselines, number(own)], seeds, test),
@@ -387,7 +407,8 @@ impl Analysis {
                 continue;
             }
             let jackknife = jackknives.of(row).cloned();
-            let replicate = Replicate { seeds, value, test: test.cloned(), jackknife };
+            let (test, test_to_training) = (test.0.cloned(), test.1);
+            let replicate = Replicate { seeds, value, test, test_to_training, jackknife };
             by_row.entry(key).or_default().insert(place, (replicate, row.unit));
         }
         let groups: BTreeMap<usize, Of> = groups.into_iter().map(|(of, number)| (number, of)).collect();

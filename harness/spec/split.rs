@@ -272,6 +272,14 @@ impl Split {
         }
     }
 
+    /// Returns how many samples a fold has for the test for each one for training, but for the rounding to whole groups.
+    /// `None` without folds.
+    pub fn test_to_training(&self) -> Option<f64> {
+        let test = 1.0 / self.folds? as f64;
+        let training = 1.0 - test - self.validation;
+        (training > 0.0).then(|| test / training)
+    }
+
     /// Whether groups are drawn or named, instead of the last episodes being for the test.
     pub fn has_groups(&self) -> bool {
         self.seed.is_some() || self.folds.is_some() || matches!(self.test, Tested::Groups(_))
