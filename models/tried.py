@@ -1,4 +1,4 @@
-"""Prints what was tried before the worlds were chosen: the table of docs/choice-of-worlds.md.
+"""Prints what was tried before the worlds were chosen. docs/choice-of-worlds.md has a part of this table.
 
 `harness world check` judges each version, whose files are in a temporary folder. `harness` must be on the path. All
 values are in SI units, angles in radians.
@@ -117,7 +117,7 @@ def print_row(*cells):
 def main():
     print_row("world", "what differs", *SHOWN.values())
     print("|" + "---|" * (2 + len(SHOWN)))
-    versions = [(world, "the world before", *before(world)) for world in compose.SCENES]
+    versions = [(world, "the first version", *before(world)) for world in compose.SCENES]
     versions += [(world, name, *changed(world, changes)) for name, (world, changes) in TRIED.items()]
     for world, name, model, file in versions:
         found = judged(model, file)
