@@ -10,7 +10,8 @@ use harness_shared::progress::Silent;
 use harness_spec::{
     Action, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task, Window,
 };
-use std::collections::BTreeSet;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
 
@@ -22,6 +23,10 @@ const BEYOND: f32 = 0.05;
 
 /// The maximum number of trials or groups that a sentence lists. The others are only counted.
 const NAMES_SHOWN: usize = 8;
+
+/// The share of the variance between episodes that goes with a label, above which it is told, and the probability of as
+/// much by chance in any element, below which it is.
+const GOES_WITH: (f64, f64) = (0.5, 0.01);
 
 /// The share of test samples beyond the range that is told.
 const OFTEN: f64 = 0.05;
@@ -74,7 +79,8 @@ fn lengths(samples: &Samples) -> Vec<usize> {
 }
 
 /// Returns what may be wrong with a recording as the data of a run, in sentences: a setpoint that tells an output, a test
-/// beyond the range of the training, groups that the training lacks, a single trial, and episodes that are left out.
+/// beyond the range of the training, groups that the training lacks, labels that training and test share and that decide
+/// the values, a single trial, and episodes that are left out.
 ///
 /// # Errors
 /// When a value is not finite.
@@ -92,6 +98,7 @@ pub(super) fn notes(
     let has_own_test = samples.has_own_test();
     if !has_own_test {
         notes.extend(missing_groups(samples, split));
+        notes.extend(shared_labels(samples, used, split));
     }
     let trials = samples.labels().values(Division::Label("trial"), samples.own_episodes().len());
     if !has_own_test
@@ -171,6 +178,85 @@ fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
         })
     };
     texts.filter_map(sentence).collect()
+}
+
+/// Says which labels decide most of what differs between episodes, such as the day of the recording, and have values that
+/// training and test share. A model may use that, and the test does not show what happens with another value.
+fn shared_labels(samples: &Samples, used: &[Modality], split: &Split) -> Vec<String> {
+    let (labels, lengths) = (samples.labels(), lengths(samples));
+    let vectors: Vec<Modality> =
+        used.iter().copied().filter(|modality| !samples.layout()[*modality].is_image()).collect();
+    let means: Vec<(Modality, Vec<Vec<f64>>)> =
+        vectors.into_iter().map(|modality| (modality, episode_means(samples, modality))).collect();
+    let elements: usize = means.iter().map(|(_, elements)| elements.len()).sum();
+    let sentence = |label: &Label| {
+        let by = Division::new(&label.name).filter(|by| *by != split.by && label.kind != LabelKind::Real)?;
+        let values = labels.values(by, lengths.len()).ok()?;
+        if !is_shared(&values, samples, split) {
+            return None;
+        }
+        let of_elements =
+            means.iter().flat_map(|(modality, elements)| elements.iter().map(move |means| (modality, means)));
+        let explained =
+            of_elements.filter_map(|(modality, means)| Some((modality, explained(means, &values)?)));
+        let (modality, (share, p)) = explained.max_by(|(_, (a, _)), (_, (b, _))| a.total_cmp(b))?;
+        (share > GOES_WITH.0 && p * elements as f64 <= GOES_WITH.1).then(|| {
+            format!(
+                "{:.0} % of the variance of {modality} between episodes goes with the label {by}, whose values are in \
+                 training and test alike; with split: {{by: {by}}}, the test has values that the training lacks",
+                100.0 * share
+            )
+        })
+    };
+    samples.layout().labels.iter().filter_map(sentence).collect()
+}
+
+/// Whether a value of a label is in the training and in the test.
+fn is_shared(values: &[String], samples: &Samples, split: &Split) -> bool {
+    if !split.by.keeps_episodes() {
+        return true;
+    }
+    let Ok(parts) = samples.labels().parts(split, &lengths(samples), false) else { return false };
+    let of = |wanted: Part| {
+        let own = values.iter().zip(&parts).filter(move |(_, part)| **part == wanted);
+        own.map(|(value, _)| value).collect::<BTreeSet<_>>()
+    };
+    !of(Part::Training).is_disjoint(&of(Part::Test))
+}
+
+/// The mean of each element of a vector in each episode, `[element][episode]`.
+fn episode_means(samples: &Samples, modality: Modality) -> Vec<Vec<f64>> {
+    let width = samples.layout()[modality].width();
+    let values = samples.vectors(modality);
+    let mean = |element: usize, range: &Range<usize>| {
+        let own = values[range.start * width..range.end * width].iter().skip(element).step_by(width);
+        own.map(|value| f64::from(*value)).sum::<f64>() / range.len() as f64
+    };
+    let of_element = |element| samples.own_episodes().iter().map(|range| mean(element, range)).collect();
+    (0..width).map(of_element).collect()
+}
+
+/// The share of the variance of `means` that goes with a label, without what chance adds (ω², Hays 1963), and the p-value
+/// of the F-test of a one-way analysis of variance. `None` if each value is of one episode, or there is a single value.
+fn explained(means: &[f64], values: &[String]) -> Option<(f64, f64)> {
+    let mut groups: BTreeMap<&String, Vec<f64>> = BTreeMap::new();
+    values.iter().zip(means).for_each(|(value, mean)| groups.entry(value).or_default().push(*mean));
+    let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let around =
+        |values: &[f64], center: f64| values.iter().map(|value| (value - center).powi(2)).sum::<f64>();
+    let total = around(means, mean_of(means));
+    let within: f64 = groups.values().map(|group| around(group, mean_of(group))).sum();
+    let (between, left) = ((groups.len() - 1) as f64, means.len().checked_sub(groups.len())? as f64);
+    if between == 0.0 || left == 0.0 || total == 0.0 {
+        return None;
+    }
+    let noise = within / left;
+    let share = (total - within - between * noise) / (total + noise);
+    let p = match noise > 0.0 {
+        true => FisherSnedecor::new(between, left).ok()?.sf((total - within) / between / noise),
+        false => 0.0,
+    };
+    Some((share, p))
 }
 
 /// Returns a sentence for each output of a recording that its setpoint contains or tells, because a model reads it off

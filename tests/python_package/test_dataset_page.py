@@ -71,3 +71,26 @@ def test_a_wrong_name_ends_in_one_message_without_a_page(place: Place, tmp_path:
         answer = place.call("report", "--dataset", name, "--output", str(tmp_path / "no.html"))
         assert answer.returncode != 0 and answer.stderr.startswith(f"error: {expected}"), answer.stderr
     assert not any(tmp_path.iterdir())
+
+
+def test_an_effect_of_the_day_is_told_where_training_and_test_share_the_days(place: Place) -> None:
+    """The sensor has another offset on each of three days. The object has no effect."""
+    (place.folder / "days").mkdir()
+    for number in range(24):
+        generator = np.random.default_rng(number)
+        bend = 3 * (number % 3) + generator.normal(size=80)
+        name = f"days/{['ball', 'cup'][number // 12]}_{number}_{number % 3}.csv"
+        columns = [np.arange(80) / 10, bend, generator.normal(size=80)]
+        np.savetxt(place.folder / name, np.column_stack(columns), "%.6f", ",", header="time,bend,pad", comments="")
+    mapping = (
+        'name: days\nsource: days\nformat: csv\nsample_rate_hz: 10\nmax_gap_s: 0.3\ntrial: "{object}_{n:int}_{day:int}"\n'
+        'streams:\n  all: {time: time, file: "*.csv"}\nsplit: {by: SPLIT}\n'
+        "modalities:\n  setpoint: none\n  bend: {from: all.bend, unit: V}\n  pad: {from: all.pad, unit: V}\n"
+    )
+    told = {}
+    for split in ("trial", "time, gap_seconds: 0.5", "day"):
+        (place.folder / "days.yaml").write_text(mapping.replace("SPLIT", split))
+        answer = place.call("import", "days.yaml")
+        assert answer.returncode == 0, answer.stderr
+        told[split] = re.findall(r"\d+ % of the variance of (\w+) .* label (\w+),", answer.stderr)
+    assert told == {"trial": [("bend", "day")], "time, gap_seconds: 0.5": [("bend", "day")], "day": []}
