@@ -15,10 +15,10 @@ use harness::experiment::{
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord, quoted};
 use harness::simulation::{Knowledge, PositionError, SimulationError};
-use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality};
+use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality, World};
 use harness::tables::{PREDICTED_COLUMNS, TableError, read_predicted};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// What stands for the predictions of the simulator itself, and the usual name of that model.
@@ -99,7 +99,7 @@ pub struct Judge {
     path: PathBuf,
     /// The file of predictions: Parquet, or CSV if its name ends in .csv. `harness task` lists its columns. The word
     /// `simulator` stands for what the simulator itself predicts from the state at each sample, rounded to f32, or as
-    /// far as --error, --without and --at-rest say that it is known
+    /// far as --error, --without and --at-rest say that it is known; or with --world, from the setpoints alone
     #[arg(value_name = "PREDICTIONS")]
     predictions: PathBuf,
     /// Settings to change, as for `harness run`
@@ -143,6 +143,10 @@ struct Known {
     /// For `simulator`: it starts with all velocities at 0
     #[arg(long)]
     at_rest: bool,
+    /// For `simulator`: the world, by name or file, whose actuators repeat the setpoints of each episode from its start.
+    /// Nothing else of the dataset is used. It says how well a world matches the robot that was recorded
+    #[arg(long, value_name = "WORLD", conflicts_with_all = ["errors", "without", "at_rest", "restarts"])]
+    world: Option<String>,
     /// For `simulator`: number of simulations from each sample, each with other errors. The prediction is their mean
     /// [default: 16 with --error, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
@@ -157,6 +161,7 @@ impl Known {
             ("--without", !self.without.is_empty()),
             ("--at-rest", self.at_rest),
             ("--restarts", self.restarts.is_some()),
+            ("--world", self.world.is_some()),
         ];
         given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
     }
@@ -165,7 +170,11 @@ impl Known {
     fn name(&self) -> String {
         let errors = self.errors.iter().map(|error| error.text.clone());
         let without = self.without.iter().map(|body| format!("without-{body}"));
-        let parts = errors.chain(without).chain(self.at_rest.then(|| "at-rest".to_owned()));
+        let world = self
+            .world
+            .iter()
+            .map(|world| Path::new(world).file_stem().unwrap_or_default().to_string_lossy().into_owned());
+        let parts = errors.chain(without).chain(self.at_rest.then(|| "at-rest".to_owned())).chain(world);
         let allowed = |c: char| if c == '=' { '-' } else { c };
         let parts = parts.map(|part| {
             part.chars().map(allowed).filter(|c| c.is_ascii_alphanumeric() || "_-.".contains(*c)).collect()
@@ -173,9 +182,13 @@ impl Known {
         [SIMULATOR.to_owned()].into_iter().chain(parts).collect::<Vec<String>>().join("-")
     }
 
-    fn knowledge(self) -> Knowledge {
+    fn predictions(self) -> Result<Predictions> {
+        if let Some(world) = &self.world {
+            return Ok(Predictions::Replayed(World::find(world)?));
+        }
         let restarts = self.restarts.map_or(if self.errors.is_empty() { 1 } else { 16 }, usize::from);
-        Knowledge { errors: self.errors, at_rest: self.at_rest, without: self.without, restarts }
+        let Self { errors, without, at_rest, .. } = self;
+        Ok(Predictions::Simulated(Knowledge { errors, at_rest, without, restarts }))
     }
 }
 
@@ -204,7 +217,7 @@ impl Judge {
             return Err(TaskError::NotCollected { dataset, missing, command }.into());
         }
         let predictions = match is_simulator {
-            true => Predictions::Simulated(self.known.knowledge()),
+            true => self.known.predictions()?,
             false => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
         };
         registry.check_writable()?;

@@ -1,20 +1,52 @@
-//! What the simulator itself predicts: an upper bound for any model that knows as much of the state.
+//! What the simulator itself predicts: from the state at each sample, an upper bound for any model that knows as much of
+//! it; or from the setpoints of a recording alone, which says how well a world matches a robot.
 
 use super::{ExperimentError, Source};
 use harness_registry::dataset::{AnyDataset, Dataset};
 use harness_samples::{Sample, Samples};
 use harness_shared::progress::Progress;
-use harness_simulation::{Knowledge, Scene, SimulatedOn, simulate_on};
-use harness_spec::{Episode, Modality, RunSpec};
+use harness_simulation::{Knowledge, Scene, SimulatedOn, follow_setpoints, simulate_on};
+use harness_spec::{Element, Episode, Layout, Modality, RunSpec, World};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Why the simulator can't predict the samples of a task.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulatorError {
     /// The samples were recorded.
-    #[error("{0} was imported, and only a simulated dataset can be simulated again")]
+    #[error(
+        "{0} was imported, so the state at its samples is not known; name a world that repeats its setpoints, with \
+         --world WORLD"
+    )]
     Imported(String),
+    /// The recording lacks a setpoint that moves the world.
+    #[error(
+        "the action of the world {world} has the element {element}, and the setpoints of {dataset} are {there}; name \
+         them alike, with the same units"
+    )]
+    Element {
+        /// The world.
+        world: String,
+        /// The element and its unit.
+        element: String,
+        /// Name of the dataset.
+        dataset: String,
+        /// The elements of its setpoint, each with its unit.
+        there: String,
+    },
+    /// The world does not sense an output as the recording does.
+    #[error("the output {modality} is not in the world {world} as in {dataset}: {problem}")]
+    Unlike {
+        /// The output.
+        modality: Modality,
+        /// The world.
+        world: String,
+        /// Name of the dataset.
+        dataset: String,
+        /// What differs.
+        problem: String,
+    },
     /// An output is not sensed in the simulation, but rendered or computed from samples.
     #[error(
         "the simulator predicts what it senses, and {modality} is an image or a change; ask for other outputs, for \
@@ -118,6 +150,127 @@ fn simulate_from(
         return Err(SimulatorError::Differs { episode, dataset }.into());
     }
     Ok(ahead)
+}
+
+/// Simulates the outputs of `spec` at each horizon in another world, whose actuators go through the setpoints of each
+/// episode from its start. Nothing else of the recording is used. Returns `[windows, width]` in physical units. Setpoints
+/// and outputs are matched by the names of their elements.
+///
+/// # Errors
+/// When the world lacks an output or moves by something else, or the simulation diverges.
+pub(super) fn replayed(
+    source: &Source,
+    spec: &RunSpec,
+    samples: &Samples,
+    windows: &[Sample],
+    world: &Arc<World>,
+    progress: &dyn Progress,
+) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
+    let (scene, dataset) = (Scene::new(world.clone())?, source.tested().name().to_owned());
+    let columns = setpoint_columns(&scene, samples.layout(), &dataset)?;
+    let outputs: Vec<(Modality, Vec<usize>)> = spec
+        .output
+        .iter()
+        .map(|modality| Ok((*modality, output_columns(&scene, samples.layout(), *modality, &dataset)?)))
+        .collect::<Result<_, SimulatorError>>()?;
+    let places: BTreeSet<usize> = windows.iter().map(|sample| samples.place(*sample).0).collect();
+    progress.begin("simulating", places.len() as u64, "episodes");
+    let rate = samples.recording().sample_rate_hz;
+    let follow = |place: &usize| {
+        if progress.cancelled() {
+            return Err(ExperimentError::Cancelled);
+        }
+        let width = samples.layout().action().len();
+        let range = &samples.episodes()[*place];
+        let recorded = samples.setpoints()[range.start * width..range.end * width].chunks_exact(width);
+        let setpoints: Vec<f64> =
+            recorded.flat_map(|setpoint| columns.iter().map(|column| f64::from(setpoint[*column]))).collect();
+        let episode = follow_setpoints(&scene, rate, *place as u32, &setpoints)?;
+        progress.advance(1);
+        Ok((*place, episode))
+    };
+    let episodes = places.into_par_iter().map(|place| follow(&place));
+    let episodes: BTreeMap<usize, Episode> = episodes.collect::<Result<_, ExperimentError>>()?;
+    progress.end();
+    let mut values = BTreeMap::new();
+    for (modality, columns) in outputs {
+        for horizon in spec.window.horizons() {
+            let of_window = |sample: &Sample| {
+                let (place, within) = samples.place(*sample);
+                let all = episodes[&place].vector(modality);
+                let row = all.chunks_exact(columns.len()).nth(within + horizon).unwrap_or_default();
+                columns.iter().map(|column| row[*column]).collect::<Vec<f32>>()
+            };
+            values.insert((modality, horizon), windows.iter().flat_map(of_window).collect());
+        }
+    }
+    Ok(values)
+}
+
+/// An element with its unit: `push in N`.
+fn with_unit(element: &Element) -> String {
+    match element.unit.as_str() {
+        "" => element.name.clone(),
+        unit => format!("{} in {unit}", element.name),
+    }
+}
+
+/// The place of an element of `own` among `all`, by name and unit. If both have a single element, it needs no name. A unit
+/// may be unknown.
+fn column_of(element: &Element, own: &[Element], all: &[Element]) -> Option<usize> {
+    let is_alone = own.len() == 1 && all.len() == 1;
+    let has_unit =
+        |other: &Element| other.unit == element.unit || other.unit.is_empty() || element.unit.is_empty();
+    let is_it = |other: &Element| (other.name == element.name || is_alone) && has_unit(other);
+    all.iter().position(is_it)
+}
+
+/// Returns the column of the recording's setpoint for each element of the world's action.
+fn setpoint_columns(scene: &Scene, recording: &Layout, dataset: &str) -> Result<Vec<usize>, SimulatorError> {
+    let own = scene.layout().action();
+    let column = |element: &Element| {
+        column_of(element, own, recording.action()).ok_or_else(|| SimulatorError::Element {
+            world: scene.scenario().to_string(),
+            element: with_unit(element),
+            dataset: dataset.to_owned(),
+            there: match recording.action() {
+                [] => "none".to_owned(),
+                all => all.iter().map(with_unit).collect::<Vec<_>>().join(", "),
+            },
+        })
+    };
+    own.iter().map(column).collect()
+}
+
+/// Returns the column of the world's modality for each element of the recording's.
+fn output_columns(
+    scene: &Scene,
+    recording: &Layout,
+    modality: Modality,
+    dataset: &str,
+) -> Result<Vec<usize>, SimulatorError> {
+    let unlike = |problem: String| SimulatorError::Unlike {
+        modality,
+        world: scene.scenario().to_string(),
+        dataset: dataset.to_owned(),
+        problem,
+    };
+    let senses = || scene.layout().stored_vectors().filter(|one| one.name != Modality::SETPOINT);
+    let Some(own) = senses().find(|definition| definition.name == modality) else {
+        let names: Vec<&str> = senses().map(|definition| definition.name.name()).collect();
+        return Err(unlike(format!("the world senses {}", names.join(", "))));
+    };
+    let recorded = recording[modality].elements();
+    if own.width() != recorded.len() {
+        return Err(unlike(format!("it has {} elements there, and {} here", own.width(), recorded.len())));
+    }
+    let column = |element: &Element| {
+        column_of(element, recorded, own.elements()).ok_or_else(|| {
+            let all = own.elements().iter().map(with_unit).collect::<Vec<_>>().join(", ");
+            unlike(format!("the world has no element {}, but {all}", with_unit(element)))
+        })
+    };
+    recorded.iter().map(column).collect()
 }
 
 /// Returns the mean of rows of `width` values.

@@ -94,6 +94,36 @@ pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f6
     Ok(states)
 }
 
+/// Simulates an episode without images that goes through the setpoints of its samples, `[samples, elements]`, with
+/// constant speed between two of them. It begins as every episode of the scene, with the joints at the first setpoint.
+///
+/// # Errors
+/// When the sample rate, Hz, does not suit the scene, the boxes find no place, or the simulation diverges.
+pub fn follow_setpoints(
+    scene: &Scene,
+    sample_rate_hz: f64,
+    index: u32,
+    setpoints: &[f64],
+) -> Result<Episode, SimulationError> {
+    let samples = setpoints.len() / scene.layout().action().len();
+    let actuation_seconds = 1.0 / sample_rate_hz;
+    let spec = Simulation {
+        sample_rate_hz,
+        actuation_seconds,
+        actuations_per_episode: samples as u32,
+        ..scene.world().simulation()
+    };
+    let plan = EpisodePlan::through(scene, &spec, index, setpoints)?;
+    let mut physics = Physics::new(scene, &spec)?;
+    let mut episode = with_room(scene, &spec, &plan, samples);
+    physics.start(&plan);
+    for _ in 0..samples {
+        physics.follow(&plan)?;
+        record(&mut episode, scene, &physics.instant);
+    }
+    Ok(episode)
+}
+
 /// Returns an error if a policy gives the setpoints, so that the plan of an episode does not contain them.
 ///
 /// # Errors

@@ -44,7 +44,7 @@ pub use actuate::{Actuated, Addable, Probe, actuate};
 pub use batch::Batch;
 pub use camera::{Camera, SampleTime, SceneRenderer};
 pub use draft::draft_world;
-pub use episode::{Simulator, refuse_policy, replay};
+pub use episode::{Simulator, follow_setpoints, refuse_policy, replay};
 pub use factors::FactorValues;
 pub use fitness::{Finding, Limit, fitness};
 pub use knowledge::{ErrorSize, Knowledge, PositionError};

@@ -51,7 +51,34 @@ impl EpisodePlan {
                 Setpoints::draw(motion, &ranges, &scene.start(spec), spec, &timing, &mut rng)
             }
         };
-        let boxes = place_boxes(scene, spec, &factors, index, &mut rng)?;
+        Self::moved(scene, spec, index, factors, setpoints, &mut rng)
+    }
+
+    /// The plan of an episode that goes through the setpoints of its samples, `[samples, elements]`.
+    ///
+    /// # Errors
+    /// When the spec's ranges or rates do not suit the scene, or the boxes find no place.
+    pub(super) fn through(
+        scene: &Scene,
+        spec: &Simulation,
+        index: u32,
+        setpoints: &[f64],
+    ) -> Result<Self, SimulationError> {
+        let setpoints = Setpoints::through(setpoints, scene.ranges(spec).len(), &scene.timing(spec)?);
+        let factors = FactorValues::draw(scene, spec, index);
+        Self::moved(scene, spec, index, factors, setpoints, &mut episode_stream(scene, spec.stream(), index))
+    }
+
+    /// Draws the rest of the plan of an episode with these factors and setpoints.
+    fn moved(
+        scene: &Scene,
+        spec: &Simulation,
+        index: u32,
+        factors: FactorValues,
+        setpoints: Setpoints,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self, SimulationError> {
+        let boxes = place_boxes(scene, spec, &factors, index, rng)?;
         let noise = Noise::new(scene, spec, &factors, index);
         Ok(Self { episode: index, boxes, factors, noise, setpoints })
     }
