@@ -9,8 +9,8 @@ use super::{DONE, interrupt};
 use anyhow::Result;
 use clap::Args;
 use harness::experiment::{
-    ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Runner, SubmissionError,
-    provenance,
+    ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Replay, Runner,
+    SubmissionError, provenance,
 };
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord, quoted};
@@ -147,6 +147,9 @@ struct Known {
     /// Nothing else of the dataset is used. It says how well a world matches the robot that was recorded
     #[arg(long, value_name = "WORLD", conflicts_with_all = ["errors", "without", "at_rest", "restarts"])]
     world: Option<String>,
+    /// For --world: the value of a factor of variation of the world file; may be given several times
+    #[arg(long = "factor", value_name = "NAME=VALUE", value_parser = factor, requires = "world")]
+    factors: Vec<(String, f64)>,
     /// For `simulator`: number of simulations from each sample, each with other errors. The prediction is their mean
     /// [default: 16 with --error, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
@@ -174,7 +177,12 @@ impl Known {
             .world
             .iter()
             .map(|world| Path::new(world).file_stem().unwrap_or_default().to_string_lossy().into_owned());
-        let parts = errors.chain(without).chain(self.at_rest.then(|| "at-rest".to_owned())).chain(world);
+        let factors = self.factors.iter().map(|(name, value)| format!("{name}-{value}"));
+        let parts = errors
+            .chain(without)
+            .chain(self.at_rest.then(|| "at-rest".to_owned()))
+            .chain(world)
+            .chain(factors);
         let allowed = |c: char| if c == '=' { '-' } else { c };
         let parts = parts.map(|part| {
             part.chars().map(allowed).filter(|c| c.is_ascii_alphanumeric() || "_-.".contains(*c)).collect()
@@ -184,12 +192,19 @@ impl Known {
 
     fn predictions(self) -> Result<Predictions> {
         if let Some(world) = &self.world {
-            return Ok(Predictions::Replayed(World::find(world)?));
+            let factors = self.factors.into_iter().collect();
+            return Ok(Predictions::Replayed(Replay { world: World::find(world)?, factors }));
         }
         let restarts = self.restarts.map_or(if self.errors.is_empty() { 1 } else { 16 }, usize::from);
         let Self { errors, without, at_rest, .. } = self;
         Ok(Predictions::Simulated(Knowledge { errors, at_rest, without, restarts }))
     }
+}
+
+fn factor(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, such as stiffness=1.5")?;
+    let value = value.trim().parse().map_err(|_| format!("'{value}' is no number"))?;
+    Ok((name.trim().to_owned(), value))
 }
 
 fn note(text: &str) -> Result<(String, String), String> {

@@ -1,7 +1,7 @@
 //! Models of other programs: what a cell of an experiment asks of them, and the runs that their predictions become.
 
 use super::evaluate::{self, References};
-use super::simulator::{replayed, simulated};
+use super::simulator::{Replay, simulated};
 use super::{ExperimentError, OpenData, Runner, Source, describe};
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::dataset::AnyDataset;
@@ -12,7 +12,7 @@ use harness_shared::progress::Progress;
 use harness_shared::seal::hex;
 use harness_simulation::Knowledge;
 use harness_spec::{
-    Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task, WindowStart, World,
+    Division, Experiment, IMAGE_CHANNELS, Layout, MAX_SEED, Modality, RunSpec, Task, WindowStart,
 };
 use harness_tables::{PredictedRow, PredictedRows};
 use sha2::{Digest, Sha256};
@@ -236,8 +236,8 @@ impl OpenTask {
             Predictions::Simulated(known) => {
                 vec![of_windows(simulated(&self.task.source, spec, samples, windows, &known, progress)?)?]
             }
-            Predictions::Replayed(world) => {
-                vec![of_windows(replayed(&self.task.source, spec, samples, windows, &world, progress)?)?]
+            Predictions::Replayed(replay) => {
+                vec![of_windows(replay.predicted(&self.task.source, spec, samples, windows, progress)?)?]
             }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
@@ -300,7 +300,7 @@ pub enum Predictions {
     /// Those of the simulator itself, from the state at each present sample, rounded to f32, as far as it is known.
     Simulated(Knowledge),
     /// Those of a world whose actuators repeat the setpoints of each episode from its start.
-    Replayed(Arc<World>),
+    Replayed(Replay),
 }
 
 /// A model of another program with its predictions.

@@ -21,7 +21,7 @@ pub use recorded::recording_notes;
 pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};
-pub use simulator::SimulatorError;
+pub use simulator::{FittedTo, Replay, SimulatorError};
 pub use worlds::results;
 
 use crate::collection::{CollectionError, collect, collect_together, dataset_of};

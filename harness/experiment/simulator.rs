@@ -3,10 +3,12 @@
 
 use super::{ExperimentError, Source};
 use harness_registry::dataset::{AnyDataset, Dataset};
-use harness_samples::{Sample, Samples};
-use harness_shared::progress::Progress;
-use harness_simulation::{Knowledge, Scene, SimulatedOn, follow_setpoints, simulate_on};
-use harness_spec::{Element, Episode, Layout, Modality, RunSpec, World};
+use harness_samples::{FramePlace, Normalizers, Sample, Samples};
+use harness_shared::progress::{Progress, Silent};
+use harness_simulation::{FactorValues, Knowledge, Scene, SimulatedOn, follow_setpoints, simulate_on};
+use harness_spec::{
+    Action, Element, Episode, Layout, Modality, RunSpec, Scale, Scaling, Scalings, Split, Window, World,
+};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -33,6 +35,16 @@ pub enum SimulatorError {
         /// Name of the dataset.
         dataset: String,
         /// The elements of its setpoint, each with its unit.
+        there: String,
+    },
+    /// The recording lacks a modality.
+    #[error("{dataset} has no vector '{modality}'; it has {there}")]
+    NotRecorded {
+        /// The modality.
+        modality: String,
+        /// Name of the dataset.
+        dataset: String,
+        /// The vectors that it has.
         there: String,
     },
     /// The world does not sense an output as the recording does.
@@ -152,59 +164,150 @@ fn simulate_from(
     Ok(ahead)
 }
 
-/// Simulates the outputs of `spec` at each horizon in another world, whose actuators go through the setpoints of each
-/// episode from its start. Nothing else of the recording is used. Returns `[windows, width]` in physical units. Setpoints
-/// and outputs are matched by the names of their elements.
-///
-/// # Errors
-/// When the world lacks an output or moves by something else, or the simulation diverges.
-pub(super) fn replayed(
-    source: &Source,
-    spec: &RunSpec,
-    samples: &Samples,
-    windows: &[Sample],
-    world: &Arc<World>,
-    progress: &dyn Progress,
-) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
-    let (scene, dataset) = (Scene::new(world.clone())?, source.tested().name().to_owned());
-    let columns = setpoint_columns(&scene, samples.layout(), &dataset)?;
-    let outputs: Vec<(Modality, Vec<usize>)> = spec
-        .output
-        .iter()
-        .map(|modality| Ok((*modality, output_columns(&scene, samples.layout(), *modality, &dataset)?)))
-        .collect::<Result<_, SimulatorError>>()?;
-    let places: BTreeSet<usize> = windows.iter().map(|sample| samples.place(*sample).0).collect();
-    progress.begin("simulating", places.len() as u64, "episodes");
-    let rate = samples.recording().sample_rate_hz;
-    let follow = |place: &usize| {
-        if progress.cancelled() {
-            return Err(ExperimentError::Cancelled);
+/// A world whose actuators repeat the setpoints of recorded episodes, from the start of each. Nothing else of a recording
+/// is used.
+#[derive(Debug, Clone)]
+pub struct Replay {
+    /// The world.
+    pub world: Arc<World>,
+    /// The values of its factors of variation. Those that are not named have no effect.
+    pub factors: BTreeMap<String, f64>,
+}
+
+/// A modality of a recording, and its columns in the world.
+type Columns = (Modality, Vec<usize>);
+
+impl Replay {
+    /// Simulates the outputs of `spec` at each horizon. Returns `[windows, width]` in physical units. Setpoints and outputs
+    /// are matched by the names of their elements.
+    ///
+    /// # Errors
+    /// When the world lacks an output or moves by something else, or the simulation diverges.
+    pub(super) fn predicted(
+        &self,
+        source: &Source,
+        spec: &RunSpec,
+        samples: &Samples,
+        windows: &[Sample],
+        progress: &dyn Progress,
+    ) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
+        let places: BTreeSet<usize> = windows.iter().map(|sample| samples.place(*sample).0).collect();
+        let (episodes, outputs) =
+            self.episodes(samples, source.tested().name(), &spec.output, &places, progress)?;
+        let mut values = BTreeMap::new();
+        for (modality, columns) in outputs {
+            for horizon in spec.window.horizons() {
+                let of_window = |sample: &Sample| {
+                    let (place, within) = samples.place(*sample);
+                    row(&episodes[&place], (modality, &columns), within + horizon)
+                };
+                values.insert((modality, horizon), windows.iter().flat_map(of_window).collect());
+            }
         }
-        let width = samples.layout().action().len();
-        let range = &samples.episodes()[*place];
-        let recorded = samples.setpoints()[range.start * width..range.end * width].chunks_exact(width);
-        let setpoints: Vec<f64> =
-            recorded.flat_map(|setpoint| columns.iter().map(|column| f64::from(setpoint[*column]))).collect();
-        let episode = follow_setpoints(&scene, rate, *place as u32, &setpoints)?;
-        progress.advance(1);
-        Ok((*place, episode))
-    };
-    let episodes = places.into_par_iter().map(|place| follow(&place));
-    let episodes: BTreeMap<usize, Episode> = episodes.collect::<Result<_, ExperimentError>>()?;
-    progress.end();
-    let mut values = BTreeMap::new();
-    for (modality, columns) in outputs {
-        for horizon in spec.window.horizons() {
-            let of_window = |sample: &Sample| {
-                let (place, within) = samples.place(*sample);
-                let all = episodes[&place].vector(modality);
-                let row = all.chunks_exact(columns.len()).nth(within + horizon).unwrap_or_default();
-                columns.iter().map(|column| row[*column]).collect::<Vec<f32>>()
-            };
-            values.insert((modality, horizon), windows.iter().flat_map(of_window).collect());
-        }
+        Ok(values)
     }
-    Ok(values)
+
+    /// Simulates some episodes of a recording.
+    fn episodes(
+        &self,
+        samples: &Samples,
+        dataset: &str,
+        outputs: &[Modality],
+        places: &BTreeSet<usize>,
+        progress: &dyn Progress,
+    ) -> Result<(BTreeMap<usize, Episode>, Vec<Columns>), ExperimentError> {
+        let scene = Scene::new(self.world.clone())?;
+        let factors = FactorValues::given(&scene, &self.factors)?;
+        let setpoint = setpoint_columns(&scene, samples.layout(), dataset)?;
+        let of_output = |modality: &Modality| {
+            Ok((*modality, output_columns(&scene, samples.layout(), *modality, dataset)?))
+        };
+        let outputs = outputs.iter().map(of_output).collect::<Result<_, SimulatorError>>()?;
+        progress.begin("simulating", places.len() as u64, "episodes");
+        let rate = samples.recording().sample_rate_hz;
+        let width = samples.layout().action().len();
+        let follow = |place: &usize| {
+            if progress.cancelled() {
+                return Err(ExperimentError::Cancelled);
+            }
+            let range = &samples.episodes()[*place];
+            let recorded = samples.setpoints()[range.start * width..range.end * width].chunks_exact(width);
+            let setpoints: Vec<f64> =
+                recorded.flat_map(|all| setpoint.iter().map(|column| f64::from(all[*column]))).collect();
+            let episode = follow_setpoints(&scene, rate, *place as u32, &factors, &setpoints)?;
+            progress.advance(1);
+            Ok((*place, episode))
+        };
+        let episodes = places.par_iter().map(follow).collect::<Result<_, ExperimentError>>()?;
+        progress.end();
+        Ok((episodes, outputs))
+    }
+}
+
+/// The training episodes of a dataset, to which the factors of a world are fitted.
+pub struct FittedTo {
+    samples: Samples,
+    dataset: String,
+    training: Vec<Sample>,
+    outputs: Vec<Modality>,
+    /// The standard deviation of each element of each output.
+    deviations: Vec<Vec<f32>>,
+}
+
+impl FittedTo {
+    /// Reads the training samples of the dataset's own split, or all if it is too short for one.
+    ///
+    /// # Errors
+    /// When the dataset can't be read, or lacks an output.
+    pub fn open(dataset: &AnyDataset, outputs: &[&str]) -> Result<Self, ExperimentError> {
+        let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
+        let names = || samples.layout().stored_vectors().map(|definition| definition.name);
+        let output = |wanted: &&str| {
+            names().find(|name| name.name() == *wanted).ok_or_else(|| SimulatorError::NotRecorded {
+                modality: (*wanted).to_owned(),
+                dataset: dataset.name().to_owned(),
+                there: names().map(Modality::name).collect::<Vec<_>>().join(", "),
+            })
+        };
+        let outputs = outputs.iter().map(output).collect::<Result<Vec<_>, _>>()?;
+        let window = Window { horizon: 0, ..Window::TRANSITION };
+        let partition = samples.partition(&samples.split(&Split::default()), &window);
+        let all = || (0..samples.len()).map(Sample::at).collect();
+        let training = partition.map_or_else(all, |partition| partition.training);
+        let scaling = Scaling { scale: Scale::PerElement, minimum: None };
+        let scalings = outputs.iter().map(|output| (*output, scaling)).collect::<Scalings>();
+        let normalizers = Normalizers::fit(&samples, &training, &scalings, Action::Target);
+        let deviations = outputs.iter().map(|output| normalizers.modalities[output].std.clone()).collect();
+        Ok(Self { samples, dataset: dataset.name().to_owned(), training, outputs, deviations })
+    }
+
+    /// Returns by how much a replay differs from what was recorded, in standard deviations of each element: `[samples,
+    /// elements]` of one output after the other.
+    ///
+    /// # Errors
+    /// When the world lacks an output or moves by something else, or the simulation diverges.
+    pub fn errors(&self, replay: &Replay) -> Result<Vec<f64>, ExperimentError> {
+        let Self { samples, dataset, training, outputs, deviations } = self;
+        let places: BTreeSet<usize> = training.iter().map(|sample| samples.place(*sample).0).collect();
+        let (episodes, outputs) = replay.episodes(samples, dataset, outputs, &places, &Silent)?;
+        let mut errors = Vec::new();
+        for ((modality, columns), deviations) in outputs.iter().zip(deviations) {
+            for sample in training {
+                let (place, within) = samples.place(*sample);
+                let simulated = row(&episodes[&place], (*modality, columns), within);
+                let both = simulated.iter().zip(samples.vector(*modality, *sample)).zip(deviations);
+                errors
+                    .extend(both.map(|((simulated, recorded), std)| f64::from((simulated - recorded) / std)));
+            }
+        }
+        Ok(errors)
+    }
+}
+
+/// The values of an output at a sample of a simulated episode, in the order of the recording's elements.
+fn row(episode: &Episode, (modality, columns): (Modality, &[usize]), sample: usize) -> Vec<f32> {
+    let all = episode.vector(modality).chunks_exact(columns.len()).nth(sample).unwrap_or_default();
+    columns.iter().map(|column| all[*column]).collect()
 }
 
 /// An element with its unit: `push in N`.

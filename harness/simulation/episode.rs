@@ -2,6 +2,7 @@
 
 use super::SimulationError;
 use super::camera::Camera;
+use super::factors::FactorValues;
 use super::flow::Flow;
 use super::physics::{Instant, Physics};
 use super::plan::EpisodePlan;
@@ -95,7 +96,7 @@ pub fn replay(scene: &Scene, spec: &Simulation, index: u32) -> Result<Vec<Vec<f6
 }
 
 /// Simulates an episode without images that goes through the setpoints of its samples, `[samples, elements]`, with
-/// constant speed between two of them. It begins as every episode of the scene, with the joints at the first setpoint.
+/// constant speed between two of them, with these factors of variation. It begins as every episode of the scene, with the joints at the first setpoint.
 ///
 /// # Errors
 /// When the sample rate, Hz, does not suit the scene, the boxes find no place, or the simulation diverges.
@@ -103,6 +104,7 @@ pub fn follow_setpoints(
     scene: &Scene,
     sample_rate_hz: f64,
     index: u32,
+    factors: &FactorValues,
     setpoints: &[f64],
 ) -> Result<Episode, SimulationError> {
     let samples = setpoints.len() / scene.layout().action().len();
@@ -113,7 +115,7 @@ pub fn follow_setpoints(
         actuations_per_episode: samples as u32,
         ..scene.world().simulation()
     };
-    let plan = EpisodePlan::through(scene, &spec, index, setpoints)?;
+    let plan = EpisodePlan::through(scene, &spec, index, factors.clone(), setpoints)?;
     let mut physics = Physics::new(scene, &spec)?;
     let mut episode = with_room(scene, &spec, &plan, samples);
     physics.start(&plan);

@@ -1,5 +1,6 @@
 //! Factors of variation: draws random values for an episode and changes the properties of the model accordingly.
 
+use super::SimulationError;
 use super::resolve::{SceneFactor, dofs};
 use super::scene::Scene;
 use harness_spec::{Drawing, Normal, Property, Scenario, Simulation};
@@ -28,6 +29,33 @@ impl FactorValues {
             (index, values)
         };
         Self { drawn: on.map(draw).collect() }
+    }
+
+    /// Returns factors with these values, each for all of its elements.
+    ///
+    /// # Errors
+    /// When the scene has no such factor, or a value is not in the factor's range.
+    pub fn given(scene: &Scene, values: &BTreeMap<String, f64>) -> Result<Self, SimulationError> {
+        let given = |(name, value): (&String, &f64)| {
+            let refused = |problem| SimulationError::Factor { name: name.clone(), problem };
+            let place = scene.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
+                let names: Vec<&str> = scene.factors.iter().map(|factor| factor.name.as_str()).collect();
+                refused(match names.as_slice() {
+                    [] => format!("the world {} has no factors", scene.scenario()),
+                    names => {
+                        format!("the factors of the world {} are {}", scene.scenario(), names.join(", "))
+                    }
+                })
+            })?;
+            let [low, high] = scene.factors[place].drawing.range();
+            match (low..=high).contains(value) {
+                true => Ok((place, vec![*value; scene.factors[place].elements.len()])),
+                false => {
+                    Err(refused(format!("{value} is outside of its range [{low}, {high}] in the world file")))
+                }
+            }
+        };
+        Ok(Self { drawn: values.iter().map(given).collect::<Result<_, _>>()? })
     }
 
     /// Returns values of one factor that all equal `value`.

@@ -114,6 +114,15 @@ pub enum SimulationError {
         problem: String,
     },
 
+    /// A factor of variation can't have a value.
+    #[error("the factor '{name}': {problem}")]
+    Factor {
+        /// The name of the factor.
+        name: String,
+        /// Why, and what is allowed.
+        problem: String,
+    },
+
     /// The model has nothing that a world's action could move.
     #[error("{scene} has neither an actuator nor a mocap body, and a world's action needs one of them")]
     NoAction {

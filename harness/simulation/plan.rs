@@ -54,7 +54,7 @@ impl EpisodePlan {
         Self::moved(scene, spec, index, factors, setpoints, &mut rng)
     }
 
-    /// The plan of an episode that goes through the setpoints of its samples, `[samples, elements]`.
+    /// The plan of an episode with these factors that goes through the setpoints of its samples, `[samples, elements]`.
     ///
     /// # Errors
     /// When the spec's ranges or rates do not suit the scene, or the boxes find no place.
@@ -62,10 +62,10 @@ impl EpisodePlan {
         scene: &Scene,
         spec: &Simulation,
         index: u32,
+        factors: FactorValues,
         setpoints: &[f64],
     ) -> Result<Self, SimulationError> {
         let setpoints = Setpoints::through(setpoints, scene.ranges(spec).len(), &scene.timing(spec)?);
-        let factors = FactorValues::draw(scene, spec, index);
         Self::moved(scene, spec, index, factors, setpoints, &mut episode_stream(scene, spec.stream(), index))
     }
 

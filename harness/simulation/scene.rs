@@ -322,6 +322,11 @@ impl Scene {
         })
     }
 
+    /// Returns the lowest and the highest value of each factor of variation.
+    pub fn factor_ranges(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
+        self.factors.iter().map(|factor| (factor.name.as_str(), factor.drawing.range()))
+    }
+
     /// Returns where the model came from, for messages.
     pub fn source(&self) -> &str {
         &self.name

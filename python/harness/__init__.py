@@ -38,7 +38,8 @@ Simulation:
 - The module `harness.gymnasium` has the simulation as environments for Gymnasium, and `harness.environments` as
   environments for dm_env and dm_control.
 
-The module `harness.export` writes datasets for LeRobot and Rerun. `harness.importing` makes datasets from recordings.
+The module `harness.export` writes datasets for LeRobot and Rerun. `harness.importing` makes datasets from recordings, and
+`harness.fitting` fits a world to one.
 
 All values are in SI units. Long calls let other threads run, and Ctrl-C stops them.
 """

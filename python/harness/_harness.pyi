@@ -128,6 +128,17 @@ def export_onnx(run: str, output: Path, task: str, results: Path) -> None:
     """See `harness.export_onnx`."""
 
 @final
+class Replays:
+    """The training episodes of a dataset, whose setpoints a world repeats; see `harness.fitting.fit_world`."""
+
+    def __init__(self, datasets: Path, dataset: str, world: str, outputs: list[str]) -> None: ...
+    def ranges(self) -> dict[str, list[float]]:
+        """Returns the lowest and the highest value of each factor of variation of the world."""
+
+    def errors(self, factors: dict[str, float]) -> NDArray[np.float64]:
+        """Returns the errors of all values with these factors, in standard deviations."""
+
+@final
 class Table:
     """A table that readers of Arrow's C stream interface can read."""
 

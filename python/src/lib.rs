@@ -10,6 +10,7 @@ mod errors;
 mod mapping;
 mod model;
 mod policy;
+mod replay;
 mod results;
 mod run;
 mod simulation;
@@ -38,6 +39,8 @@ mod _harness {
     use super::model::{Model, attached, export_onnx, may_have_network, networks};
     #[pymodule_export]
     use super::policy::{PolicyDataset, Recorder};
+    #[pymodule_export]
+    use super::replay::Replays;
     #[pymodule_export]
     use super::results::{add_metric, answer, claims, collect, figures, plot, report, verify};
     #[pymodule_export]

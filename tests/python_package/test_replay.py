@@ -6,9 +6,11 @@ import polars as pl
 import pytest
 from test_matrix import Place
 
+from harness.fitting import fit_world
+
 MODEL = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="cart">
-<joint name="x" type="slide" axis="1 0 0" damping="2"/><geom size="0.1" mass="1"/><body name="tail" pos="0 0 -0.2">
-<joint name="swing" type="hinge" axis="0 1 0" stiffness="STIFFNESS" damping="0.02"/>
+<joint name="x" type="slide" axis="1 0 0" damping="2" frictionloss="0"/><geom size="0.1" mass="1"/><body name="tail" pos="0 0 -0.2">
+<joint name="swing" type="hinge" axis="0 1 0" stiffness="STIFFNESS" damping="DAMPING"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.2"/></body></body></worldbody>
 <actuator><position name="push" joint="x" kp="60" ctrlrange="-1 1"/></actuator></mujoco>"""
 
@@ -18,6 +20,9 @@ sample_rate_hz: 20
 modalities:
   place: {joint_positions: x}
   tail: {joint_positions: swing}
+factors:
+  stiffness: {joint_stiffness: swing, scale_by: {log_uniform: [0.1, 10]}}
+  damping: {joint_damping: swing, scale_by: {log_uniform: [0.1, 10]}}
 action: {seconds: 1, actuators: {push: {actuator: push, unit: m, range: [-1, 1]}}}
 """
 
@@ -54,8 +59,9 @@ def recorded(place: Place) -> str:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     place = Place(tmp_path_factory.mktemp("replay"))
-    for name, stiffness in (("robot", 0.4), ("stiffer", 1.6)):
-        (place.folder / f"{name}.xml").write_text(MODEL.replace("STIFFNESS", str(stiffness)))
+    for name, stiffness, damping in (("robot", 0.4, 0.02), ("stiffer", 1.6, 0.05)):
+        model = MODEL.replace("STIFFNESS", str(stiffness)).replace("DAMPING", str(damping))
+        (place.folder / f"{name}.xml").write_text(model)
         (place.folder / f"{name}.yaml").write_text(WORLD.replace("NAME", name))
     (place.folder / "real.yaml").write_text(SPEC.replace("NAME", "real").replace("SCENARIO", recorded(place)))
     return place
@@ -100,3 +106,36 @@ def test_a_simulated_dataset_is_repeated_to_the_rounding_of_its_setpoints(place:
     rows = place.succeed("query", "select min(value) as r2 from metrics where model = 'again' and metric = 'r2'", "--format", "csv")
     assert float(rows.split()[-1]) > 0.9999
 
+
+def test_hidden_properties_are_fitted_and_the_fitted_world_predicts_the_test(place: Place) -> None:
+    results = place.folder / "results"
+    fit = fit_world("lab", place.folder / "stiffer.yaml", ["stiffness", "damping"], "tail", results=results)
+    assert abs(fit.factors["stiffness"] - 0.25) < 0.05 * 0.25 and abs(fit.factors["damping"] - 0.4) < 0.05 * 0.4, fit
+    assert fit.after < 0.02 < 0.3 < fit.before and fit.at_bounds == ()
+    factors = [word for name, value in fit.factors.items() for word in ("--factor", f"{name}={value}")]
+    place.succeed("judge", "real.yaml", "simulator", "--world", "stiffer.yaml", *factors, "--model", "fitted")
+    found = r2(place)
+    assert found["fitted"] > 0.999 > found["persistence"] > found["simulator-stiffer"]
+    # Another range does not contain the value.
+    narrow = (place.folder / "stiffer.yaml").read_text().replace("swing, scale_by: {log_uniform: [0.1, 10]}", "swing, scale_by: {uniform: [0.5, 2]}")
+    (place.folder / "narrow.yaml").write_text(narrow)
+    fit = fit_world("lab", place.folder / "narrow.yaml", "stiffness", "tail", results=results)
+    assert fit.at_bounds == ("stiffness",) and fit.factors["stiffness"] == pytest.approx(0.5)
+
+
+def test_factors_and_outputs_that_are_not_there_are_named(place: Place) -> None:
+    world, results = place.folder / "stiffer.yaml", place.folder / "results"
+    for factors, output, dataset, message in [
+        ("mass", "tail", "lab", "the world has no factor 'mass'; it has damping, stiffness"),
+        ("stiffness", "tale", "lab", r"has no vector 'tale'; it has setpoint, place, tail"),
+        ("stiffness", "tail", "nope", "has a name that begins with 'nope'"),
+    ]:
+        with pytest.raises((ValueError, RuntimeError), match=message):
+            fit_world(dataset, world, factors, output, results=results)
+    for given, message in [
+        ("mass=2", "the factor 'mass': the factors of the world stiffer are stiffness, damping"),
+        ("stiffness=20", r"the factor 'stiffness': 20 is outside of its range \[0.1, 10\] in the world file"),
+        ("stiffness", "write NAME=VALUE"),
+    ]:
+        answer = place.call("judge", "real.yaml", "simulator", "--world", str(world), "--factor", given)
+        assert answer.returncode != 0 and re.search(message, answer.stderr), answer.stderr
