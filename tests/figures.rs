@@ -280,6 +280,27 @@ fn diagrams_show_what_the_objects_of_a_set_share() {
 }
 
 #[test]
+fn diagrams_show_the_experts_of_a_product_side_by_side() {
+    let results = fresh("figures_product");
+    let more = [
+        "latent=[4]",
+        "scenarios=[empty]",
+        "seeds=[0]",
+        "tasks=[prediction]",
+        "input=[proprioception, arm, vision]",
+        "network.preset=multi_to_multi",
+        "network.fusion=product",
+    ];
+    run(&results, SINGLE, &more);
+    let (svg, table) = diagram(&results, "single_to_multi", Figure::PredictiveArch);
+    assert_eq!(svg.matches("aria-label=\"product of experts").count(), 1);
+    // Both vectors have blocks of their own, which are too narrow for the words.
+    assert_eq!(svg.matches("aria-label=\"FC").count(), 4);
+    let drawn: u64 = table.column("values").unwrap().as_materialized_series().sum().unwrap();
+    assert_eq!(drawn as usize, parameters_of(&results));
+}
+
+#[test]
 fn a_figure_says_that_it_leaves_out_latent_sizes() {
     let results = fresh("figures_latents");
     let more = ["scenarios=[cluttered]", "seeds=[0]", "latent=[2,3,4,5]"];

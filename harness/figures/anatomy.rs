@@ -301,7 +301,8 @@ impl<'a> Part<'a> {
             (Lane::Both, 2) => Lane::Images,
             _ => Lane::Vectors,
         };
-        let (lines, relu_beside) = (self.lines(layer, room), has_relu_beside(layer, room));
+        let is_narrow = lane == Lane::Vectors && row.len() > 1;
+        let (lines, relu_beside) = (self.lines(layer, room, is_narrow), has_relu_beside(layer, room));
         Block { name: &layer.name, lane, depth, position: [index, row.len()], passing, lines, relu_beside }
     }
 
@@ -352,7 +353,8 @@ impl<'a> Part<'a> {
     }
 
     /// What a block that is as wide as this column says about a layer: what it computes, and the values that it gives.
-    fn lines(&self, layer: &Layer, room: Lane) -> Vec<String> {
+    /// In a narrow block, a fully connected layer has only its letters.
+    fn lines(&self, layer: &Layer, room: Lane, is_narrow: bool) -> Vec<String> {
         let short = |whole: &str, short: &str| if room == Lane::Both { whole } else { short }.to_owned();
         let all = self.layers[0];
         let reshaped = all
@@ -375,7 +377,7 @@ impl<'a> Part<'a> {
         };
         match &layer.operation {
             Operation::Dense { activation, .. } => {
-                let name = short("fully connected", "fully conn.");
+                let name = if is_narrow { "FC".into() } else { short("fully connected", "fully conn.") };
                 let relu = *activation == Activation::Relu && room != Lane::Vectors;
                 let is_distribution = [POSTERIOR, PRIOR].contains(&layer.name.as_str());
                 let means = if is_distribution { "*μ*, log *σ*²: " } else { "" };

@@ -39,12 +39,12 @@ fn boxed(
     for (index, line) in lines.iter().enumerate() {
         let y = center[1] + 2.2 + leading * (index as f64 - (lines.len() as f64 - 1.0) / 2.0);
         let mut style = Type { face: if is_bold(index) { Face::Bold } else { Face::Regular }, ..Type::SMALL };
-        let mut line = line.clone();
-        style.size = (style.size * room / style.width(&line)).clamp(SMALLEST, style.size);
-        while style.width(&line) > room && line.pop().is_some() {
-            line = format!("{}…", line.trim_end_matches('…'));
+        style.size = (style.size * room / style.width(line)).clamp(SMALLEST, style.size);
+        let (mut kept, mut shown) = (line.clone(), line.clone());
+        while style.width(&shown) > room && kept.pop().is_some() {
+            shown = format!("{kept}…");
         }
-        page.text(&line, [center[0], y], style);
+        page.text(&shown, [center[0], y], style);
     }
 }
 
