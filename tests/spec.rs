@@ -13,6 +13,8 @@ use std::path::Path;
 
 #[path = "spec/mappings.rs"]
 mod mappings;
+#[path = "spec/other_world.rs"]
+mod other_world;
 #[path = "spec/search.rs"]
 mod search;
 
