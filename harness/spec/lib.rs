@@ -323,7 +323,9 @@ fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> 
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
         .map_err(|error| Problem::new(&tree.place, error.to_string()))?;
     experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
-    let at = |fault: validate::Fault| Problem::new(tree.place_of(&fault.path), fault.message);
+    let at = |fault: validate::Fault| {
+        Problem::new(tree.place_of(&fault.path), fault.message).in_items(&tree.items_on(&fault.path))
+    };
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
     outputs::store(&mut experiment).map_err(|(path, message)| at(validate::Fault { path, message }))?;
     check_rates(tree, &experiment)?;

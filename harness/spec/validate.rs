@@ -224,8 +224,21 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
 fn given(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { given, input, inputs, training, .. } = experiment;
     let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
+    let has_input = |axis: &Json| {
+        axis.as_object().is_some_and(|labels| labels.values().any(|one| one.get("input").is_some()))
+    };
+    let is_varied = experiment.vary.iter().any(|(key, axis)| key == "input" || has_input(axis));
+    let remedy = |key: &str| match is_varied {
+        true => {
+            format!(
+                "; 'vary' changes the input, so give {key} to the labels of an axis, each with its own input"
+            )
+        }
+        false => String::new(),
+    };
     let no_input = |path: String, modality: &Modality| {
-        fault(path, unknown("input", modality.name(), "", &names, str::to_owned))
+        let key = if path.starts_with("given") { "given" } else { "training.modality_dropout" };
+        fault(path, unknown("input", modality.name(), "", &names, str::to_owned) + &remedy(key))
     };
     disturbances("inputs", experiment, inputs)?;
     for (index, given) in given.iter().enumerate() {
@@ -259,7 +272,7 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
                 if inputs.is_empty() || input.iter().all(|modality| inputs.contains(modality)) {
                     let problem =
                         "name at least one input, and not all of them, because a network needs an input";
-                    return fault(format!("{path}.{index}.inputs"), problem);
+                    return fault(format!("{path}.{index}.inputs"), problem.to_owned() + &remedy(path));
                 }
             }
             // 0.7 + 0.2 + 0.1 is a little less than 1.
