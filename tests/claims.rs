@@ -796,6 +796,9 @@ fn settings_choose_among_the_runs_of_readings_if_there_are_no_others() {
     assert!(base.contains(" 0 do not hold") && !base.contains("recommended "), "{base}");
     let first = succeed(folder.path(), &["claims", "--all", "--where", "simulation.seed=0"]);
     assert!(first.contains("n = 1") && !first.contains("n = 2"), "{first}");
+    // What is missing is a run of a reading.
+    let plan = succeed(folder.path(), &["claims", "--plan"]);
+    assert!(plan.contains(" run reproduction\n") && !plan.contains(" run multi_to_multi"), "{plan}");
 }
 
 #[test]
@@ -1136,7 +1139,10 @@ fn the_claims_name_known_experiments_and_are_chosen_by_name() {
     }
     assert_eq!(choose(&CLAIMS, &[]).unwrap().len(), CLAIMS.len());
     let error = choose(&CLAIMS, &["vision_improves_forces".into()]).unwrap_err().to_string();
-    assert_eq!(error, "no claim is called 'vision_improves_forces'; did you mean 'vision_improves_force'?");
+    let expected =
+        "no claim is called 'vision_improves_forces'; did you mean 'vision_improves_force'? the claims are ";
+    assert!(error.starts_with(expected), "{error}");
+    assert!(CLAIMS.iter().all(|claim| error[expected.len()..].contains(claim.id())), "{error}");
 }
 
 #[test]
@@ -1332,7 +1338,7 @@ fn without_runs_the_command_says_which_to_make() {
         assert!(plan.contains(&format!(" run {name}\n")), "{plan}");
     }
     for (arguments, expected) in [
-        (&["claims", "nope"][..], "error: no claim is called 'nope'; use an id of the file of claims\n"),
+        (&["claims", "nope"][..], "error: no claim is called 'nope'; the claims are "),
         (&["claims", "--file", "nope.yaml"], "error: nope.yaml: there is no such file\n"),
     ] {
         let answer = finish(&mut harness(nowhere.path(), arguments));

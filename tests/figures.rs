@@ -794,6 +794,12 @@ fn a_reading_is_drawn_with_its_runs() {
     let expected = ["16", "2", "4", "64"].map(|latent| format!("reproduction {latent}"));
     assert!(found.is_superset(&expected.into()), "{found:?}");
 
+    // One of the roles has runs with this latent size.
+    let sized = ["figures", "prediction_results", "--where", "latent=4", "--output", out.to_str().unwrap()];
+    let sized = finish(&mut harness(&reference, &sized));
+    let expected = "in the role multi_to_multi with latent=4, and there are others; choose by other settings";
+    assert!(sized.stderr.contains(expected) && !sized.stderr.contains("make them"), "{}", sized.stderr);
+
     for (reading, expected) in [
         ("reproduction/nothing", "reproduction has no reading 'nothing'; its readings are base, recommended"),
         ("base", "'base' names no reading; write EXPERIMENT/READING, for example reproduction/recommended"),

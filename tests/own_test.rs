@@ -151,3 +151,153 @@ fn a_test_has_factors_of_its_own() {
     assert!(wrong.stderr.contains("unknown factor 'stiffness' in 'test.factors'"), "{}", wrong.stderr);
     assert!(wrong.stderr.contains("finger_stiffness") && wrong.code == 2, "{}", wrong.stderr);
 }
+
+/// The empty world with another model.
+struct Soft(tempfile::TempDir);
+
+impl Soft {
+    fn new(stiffness: &str) -> Self {
+        let soft = Self(tempfile::tempdir().unwrap());
+        let world = include_str!("../models/empty.yaml").replace("model: empty.xml", "model: soft.xml");
+        std::fs::write(soft.path(), world).unwrap();
+        soft.set(stiffness);
+        soft
+    }
+
+    fn path(&self) -> std::path::PathBuf {
+        self.0.path().join("soft.yaml")
+    }
+
+    fn set(&self, stiffness: &str) {
+        let (model, own) = (include_str!("../models/empty.xml"), "joint stiffness=\"20\"");
+        assert!(model.contains(own));
+        let model = model.replace(own, &format!("joint stiffness=\"{stiffness}\""));
+        std::fs::write(self.0.path().join("soft.xml"), model).unwrap();
+    }
+}
+
+#[test]
+fn a_network_is_tested_in_other_worlds_than_its_own() {
+    let results = fresh("own-test-worlds");
+    let soft = Soft::new("5");
+    let varied = format!("vary={{test.world: [empty, cluttered, {}]}}", soft.path().display());
+    let vectors = ["input=[proprioception]", "output=[proprioception,contact_force]"];
+    let spec = [&SPEC[..3], &SPEC[4..], &vectors].concat();
+    let run = |verb: &'static str, more: &[&str]| {
+        [&[verb], &spec[..], more].concat().iter().map(|word| word.to_string()).collect::<Vec<_>>()
+    };
+    let said = |words: Vec<String>| succeed(&results, &words.iter().map(String::as_str).collect::<Vec<_>>());
+    said(run("run", &["name=plain"]));
+    let planned = said(run("run", &["name=shifted", &varied, "--dry-run"]));
+    assert!(
+        planned.contains("world=soft") && planned.contains("for test, 0 of 2 episodes made"),
+        "{planned}"
+    );
+    said(run("collect", &["name=shifted", &varied]));
+    said(run("run", &["name=shifted", &varied]));
+    assert!(said(run("run", &["name=shifted", &varied])).contains("0 done, 3 done before, 0 failed"));
+
+    let all = records(&results);
+    let of = |world: &str| {
+        let is_it =
+            |record: &&RunRecord| record.experiment == "shifted" && record.spec.tested_in().name() == world;
+        all.iter().find(is_it).unwrap()
+    };
+    let plain = all.iter().find(|record| record.experiment == "plain").unwrap();
+    // The training does not depend on the test: its weights are the same to the bit.
+    let weights = |record: &RunRecord| record.files["prediction.safetensors"].sha256.clone();
+    let tested = [of("empty"), of("cluttered"), of("soft")];
+    assert!(tested.iter().all(|record| weights(record) == weights(plain)));
+    assert!(tested.iter().all(|record| record.dataset == plain.dataset));
+    assert_eq!(of("empty").tested(), plain.tested());
+    assert!(of("cluttered").tested().starts_with("cluttered-") && of("soft").tested().starts_with("soft-"));
+    let metrics = |record: &RunRecord, model: &str| {
+        let sql = format!(
+            "select modality, direction, metric, \"index\", value from metrics where experiment = '{}' and run = '{}' \
+             and model = '{model}' order by modality, direction, metric, \"index\"",
+            record.experiment, record.run
+        );
+        ask(&results, &sql)
+    };
+    for model in ["network", "persistence", "ridge", "training_mean"] {
+        assert!(!metrics(plain, model).is_empty());
+        assert_eq!(metrics(of("empty"), model), metrics(plain, model), "{model}");
+        let [empty, cluttered, soft] = tested.map(|record| metrics(record, model));
+        assert!(empty != cluttered && empty != soft && soft != cluttered, "{model}");
+    }
+    // Kinds of contact are those of the test.
+    let kinds = |world: &str| {
+        let rows = metrics(of(world), "network");
+        let has = |kind: &str| rows.iter().any(|row| row["metric"].as_str().unwrap().ends_with(kind));
+        (has("_ground"), has("_box"))
+    };
+    assert_eq!(
+        [kinds("empty"), kinds("cluttered"), kinds("soft")],
+        [(true, false), (true, true), (true, false)]
+    );
+    // The predicted values are those of the test's dataset.
+    let joined = "select r.run, count(*) as n, sum(case when p.reference = e.contact_force_19 then 1 else 0 end) as same \
+         from predictions p join runs r on p.run = r.run and p.experiment = r.experiment \
+         join episodes e on e.dataset = r.test_dataset and e.episode = p.episode and e.sample = p.sample \
+         where p.modality = 'contact_force' and p.\"index\" = 19 group by r.run";
+    let rows = ask(&results, joined);
+    assert_eq!(rows.len(), 4);
+    assert!(rows.iter().all(|row| row["n"].as_u64().unwrap() > 0 && row["n"] == row["same"]), "{rows:?}");
+    let shown = succeed(&results, &["compare", "shifted", "--by", "test.world", "--metrics", "r2"]);
+    assert!(["empty", "cluttered", "soft"].iter().all(|world| shown.contains(world)), "{shown}");
+    assert!(!shown.contains("left out"), "{shown}");
+
+    assert_eq!(succeed(&results, &["gc", "--yes"]), "nothing to remove\n");
+    succeed(&results, &["verify"]);
+    let rollout = rollout(&Registry::new(&results), &of("cluttered").run, None, 1).unwrap();
+    assert_eq!(rollout.record.tested(), of("cluttered").tested());
+    // The simulator goes on from the states of the test, in the world of the test.
+    let judge =
+        [&["judge", SMOKE, "simulator"], &spec[1..], &["test.world=cluttered", "--model", "mujoco"]].concat();
+    assert!(succeed(&results, &judge).contains("mujoco"));
+
+    // Results of before and after a change of the test's world are never averaged.
+    soft.set("10");
+    let again = said(run("run", &["name=shifted", &varied]));
+    assert!(again.contains("1 done, 2 done before, 0 failed"), "{again}");
+    let counted = finish(&mut harness(&results, &["compare", "shifted"]));
+    assert!(
+        counted.stderr.contains("1 finished run in other versions of the world soft"),
+        "{}",
+        counted.stderr
+    );
+    let verified = finish(&mut harness(&results, &["verify"]));
+    assert_eq!(verified.code, 0, "{}", verified.stdout);
+    succeed(&results, &["gc", "--only", "world", "--yes"]);
+    let left = records(&results).iter().filter(|record| record.experiment == "shifted").count();
+    assert_eq!(left, 3);
+}
+
+#[test]
+fn a_world_that_records_something_else_is_no_test() {
+    let results = fresh("own-test-other-layout");
+    let soft = Soft::new("5");
+    let refusal = |from: &str, to: &str| {
+        let text = std::fs::read_to_string(soft.path()).unwrap();
+        assert!(text.contains(from), "{from}");
+        std::fs::write(soft.path(), text.replacen(from, to, 1)).unwrap();
+        let world = format!("test.world={}", soft.path().display());
+        let vectors = ["input=[proprioception]", "output=[proprioception,contact_force]"];
+        let words = [&["run"], &SPEC[..3], &vectors, &[&*world]].concat();
+        let answer = finish(&mut harness(&results, &words));
+        std::fs::write(soft.path(), text).unwrap();
+        assert_eq!(answer.code, 2, "{}", answer.stderr);
+        assert_eq!(answer.stderr.trim_end().lines().count(), 1, "{}", answer.stderr);
+        answer.stderr
+    };
+    let said = refusal("finger_joint_*", "finger_joint_0*");
+    assert!(said.contains("has 10 values instead of 20, so it can't be the test"), "{said}");
+    assert!(said.contains("in the same way in the worlds empty and soft, or change test.world"), "{said}");
+    let said = refusal("unit: m, range", "unit: mm, range");
+    assert!(said.contains("of setpoint of soft-") && said.contains("'mm' instead of"), "{said}");
+    let said = refusal("  contact_force:\n", "  contact_strength:\n");
+    assert!(said.contains("the world soft has no 'contact_force', which the runs use"), "{said}");
+    let said = refusal("sample_rate_hz: 10", "sample_rate_hz: 20");
+    assert!(said.contains("different defaults for 'simulation.sample_rate_hz'; give it a value"), "{said}");
+    assert!(!results.join("runs").exists());
+}

@@ -327,6 +327,15 @@ fn what_cannot_be_published_is_refused() {
         assert!(answer.stderr.ends_with(message), "{}", answer.stderr);
     }
     assert!(!Path::new("nowhere").exists() && !Path::new(inside).exists());
+    let file = fresh("published-to-a-file");
+    std::fs::write(&file, "mine").unwrap();
+    for more in [&[][..], &["--complete"]] {
+        let arguments = [&["publish", "smoke", "--output", file.to_str().unwrap()], more].concat();
+        let answer = finish(&mut harness(&RESULTS, &arguments));
+        assert!(answer.code != 0 && answer.stderr.lines().count() == 1, "{}", answer.stderr);
+        assert!(answer.stderr.contains("it is a file, not a folder"), "{}", answer.stderr);
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+    }
 }
 
 /// The files of a results folder's runs of smoke and of its datasets, by their path in it, without those of locks.

@@ -13,6 +13,8 @@ use std::path::Path;
 
 #[path = "spec/mappings.rs"]
 mod mappings;
+#[path = "spec/other_world.rs"]
+mod other_world;
 #[path = "spec/search.rs"]
 mod search;
 
@@ -167,6 +169,31 @@ fn tests_with_some_inputs_follow_from_the_inputs() {
              section of keys or a list of items, each a section of keys, found 1",
         ),
     ]);
+}
+
+#[test]
+fn tests_and_dropout_of_an_input_that_an_axis_leaves_out_are_refused_with_what_to_do() {
+    for (key, setting) in [
+        ("given", "given: [[arm]]\n"),
+        ("training.modality_dropout", "training: {modality_dropout: [{inputs: [arm], probability: 0.1}]}\n"),
+    ] {
+        for axis in [
+            "input: {without: each}",
+            "input: [[arm], [proprioception]]",
+            "senses: {one: {input: [proprioception]}}",
+        ] {
+            let said = refusal(format!("{BASE}{setting}vary: {{{axis}}}\n"));
+            let hint = format!(
+                "; 'vary' changes the input, so give {key} to the labels of an axis, each with its own input"
+            );
+            assert!(said.starts_with("spec.yaml:7:") && said.contains(&hint), "{axis}: {said}");
+        }
+        assert!(!refusal(format!("{BASE}{}", setting.replace("arm", "vision"))).contains("'vary'"));
+    }
+    let value = "[{inputs: [arm], probability: 0.1}]";
+    load(&format!(
+        "{BASE}vary: {{senses: {{all: {{training.modality_dropout: {value}}}, one: {{input: [proprioception]}}}}}}\n"
+    ));
 }
 
 #[test]
@@ -944,6 +971,21 @@ fn bad_overrides_are_refused_by_name() {
                  training.epochs=5"
             )
         );
+    }
+    // An override has no lines, so its messages say which item of a list is at fault.
+    for (text, expected) in [
+        (
+            "given=[[arm], [amr]]",
+            "item 2: unknown input 'amr'; did you mean 'arm'? Allowed: proprioception, arm",
+        ),
+        ("latent=[8, 0]", "item 2: 'latent': expected an integer of at least 1 and at most 4096, found 0"),
+        (
+            "training.modality_dropout=[{inputs: [arm], probability: 0.1}, {inputs: [arm, amr], probability: 0.2}]",
+            "item 2: item 2: unknown input 'amr'; did you mean 'arm'? Allowed: proprioception, arm",
+        ),
+    ] {
+        let said = override_refusal(text);
+        assert!(said.starts_with("override '") && said.ends_with(&format!("': {expected}")), "{said}");
     }
     let message = override_refusal("nonsense=512");
     assert!(message.contains("unknown key 'nonsense'. Allowed: name, description, "), "{message}");

@@ -565,6 +565,17 @@ impl Analysis {
         self.registry.records().into_iter().filter(is_own).map(|record| record.spec).collect()
     }
 
+    /// The requested settings that exclude all finished runs of an experiment under a reading in a role. None if there
+    /// are no such runs.
+    pub fn excluding(&self, experiment: &str, reading: &str, role: &str) -> Vec<Setting> {
+        let about = self.selection.settings.iter().filter(|setting| setting.is_about(experiment));
+        let is_of = |spec: &RunSpec| spec.reading() == Some(reading) && spec.role() == Some(role);
+        // Records are read only if settings may be the reason.
+        let about: Vec<Setting> = about.cloned().collect();
+        let are_there = !about.is_empty() && self.finished_specs(experiment).iter().any(is_of);
+        if are_there { about } else { Vec::new() }
+    }
+
     /// Why no run of an experiment counts.
     pub fn nothing_of(&self, experiment: &str) -> AnalysisError {
         let about = self.selection.settings.iter().filter(|setting| setting.is_about(experiment));

@@ -19,6 +19,8 @@ const REVISION: &str = "revision";
 pub(super) const OF_RUNS: [&str; 3] = [DATASET, WORLD, REVISION];
 /// The key of the scenario.
 const SCENARIO: &str = "scenario";
+/// The key of the world of the test.
+const TEST_WORLD: &str = "test.world";
 /// The key of the size of the latent state, which models of other programs lack.
 const LATENT: &str = "latent";
 /// The keys in which the runs of an experiment may always differ.
@@ -228,7 +230,10 @@ pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
     let label = || is_axis(key).then(|| label_in(run.get(VARIANT)?, key)).flatten();
     // A spec has no disturbances of strength 0.
     let undisturbed = || key.starts_with("inputs.").then_some("0");
-    run.get(key).map(String::as_str).or_else(label).or_else(undisturbed).unwrap_or(UNSET)
+    // A test names only another world than that of its run.
+    let same_world = || run.get(SCENARIO).filter(|_| key == TEST_WORLD && is_simulated(run));
+    let own = run.get(key).or_else(same_world).map(String::as_str);
+    own.or_else(label).or_else(undisturbed).unwrap_or(UNSET)
 }
 
 /// The names of what a variant has values or labels of: settings without their section, and axes.

@@ -23,7 +23,7 @@ use harness_analysis::{
 };
 use harness_catalog::{QueryError, rows};
 use harness_registry::{Recorded, Registry};
-use harness_shared::nearest;
+use harness_shared::meant;
 use harness_spec::{Origin, QUICK, Scenario, SpecError};
 use metric::ClaimMetric;
 use polars::prelude::DataFrame;
@@ -270,14 +270,14 @@ pub enum ClaimsError {
     File(#[from] SpecError),
     /// No claim has the wanted id.
     #[error(
-        "no claim is called '{wanted}'; {}",
-        nearest.as_ref().map_or("use an id of the file of claims".into(), |id| format!("did you mean '{id}'?"))
+        "no claim is called '{wanted}'{}the claims are {}",
+        meant(wanted, &ids.iter().map(String::as_str).collect::<Vec<_>>()), ids.join(", ")
     )]
     Unknown {
         /// The wanted id.
         wanted: String,
-        /// The id that was probably meant.
-        nearest: Option<String>,
+        /// The ids in the file of claims.
+        ids: Vec<String>,
     },
     /// A claim's query failed, or its answer does not have the required columns and rows.
     #[error("{file}:{line}:{column}: claim '{id}': {problem}")]
@@ -499,9 +499,8 @@ pub fn corrected<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b
 pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Claim>, ClaimsError> {
     for wanted in wanted {
         if !claims.iter().any(|claim| claim.id() == wanted) {
-            let ids: Vec<&str> = claims.iter().map(Claim::id).collect();
-            let nearest = nearest(wanted, &ids).map(str::to_owned);
-            return Err(ClaimsError::Unknown { wanted: wanted.clone(), nearest });
+            let ids = claims.iter().map(|claim| claim.id().to_owned()).collect();
+            return Err(ClaimsError::Unknown { wanted: wanted.clone(), ids });
         }
     }
     Ok(claims.iter().filter(|claim| wanted.is_empty() || wanted.iter().any(|w| w == claim.id())).collect())

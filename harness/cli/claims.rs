@@ -63,7 +63,8 @@ impl Claims {
         let (mut of_spec, mut own): (Vec<Setting>, Vec<Setting>) =
             self.runs.settings.iter().cloned().partition(|setting| is_of_spec(&setting));
         let mut experiments = chosen.iter().flat_map(|claim| claim.experiments(self.quick));
-        if spec.is_some() && !experiments.any(|name| registry.has_runs(&name)) {
+        let has_own = experiments.any(|name| registry.has_runs(&name));
+        if spec.is_some() && !has_own {
             // Without runs of the claims' own experiments, all settings are about the readings.
             of_spec.append(&mut own);
         }
@@ -81,6 +82,8 @@ impl Claims {
             judged.extend(claims::judge(&runs, claim, self.quick)?);
         }
         let judgments: Vec<&Judgment> = judged.iter().collect();
+        // A folder with runs of the readings, and none of the claims' own experiments, lacks those of a reading.
+        let of_readings = spec.as_ref().filter(|_| !has_own);
         if !matches!(form, Form::Page(Style::Text)) {
             for note in runs.notes() {
                 eprintln!("{note}");
@@ -89,13 +92,13 @@ impl Claims {
         }
         if self.plan {
             print_plan(&claims::plan(&runs, &judged, self.quick), &judged);
-            print_missing(&runs, &judgments, self.quick)?;
+            print_missing(&runs, &judgments, of_readings, self.quick)?;
             return Ok(ExitCode::from(DONE));
         }
         if self.is_short(&chosen) {
             Self::print_short(&[("verdict", judgments.clone())], None);
             runs.notes().iter().for_each(|note| print_text(note));
-            print_missing(&runs, &judgments, self.quick)?;
+            print_missing(&runs, &judgments, of_readings, self.quick)?;
             return Ok(ExitCode::from(DONE));
         }
         print(&judged);
@@ -106,7 +109,7 @@ impl Claims {
         print_counts(&judgments);
         runs.notes().iter().for_each(|note| print_text(note));
         print_contacts(&runs, &self.experiments(&chosen))?;
-        print_missing(&runs, &judgments, self.quick)?;
+        print_missing(&runs, &judgments, of_readings, self.quick)?;
         Ok(ExitCode::from(DONE))
     }
 
@@ -188,8 +191,7 @@ impl Claims {
             name != OWN && judgments.iter().any(|judgment| judgment.verdict() == Verdict::NoData)
         };
         if matrix.columns().any(lacks_runs) || own.is_none() && !matrix.left_out.is_empty() {
-            let name = spec.name.strip_suffix(QUICK).unwrap_or(&spec.name).to_owned();
-            print_commands(readings.analysis(), std::iter::once(&name), self.quick);
+            print_commands(readings.analysis(), std::iter::once(&name_of(spec)), self.quick);
         }
         let Some(own) = own else { return Ok(ExitCode::from(DONE)) };
         if !is_short {
@@ -545,11 +547,27 @@ fn elsewhere(runs: &Analysis, experiment: &str, scenario: Scenario) -> Option<St
         .then(|| format!("no run of {experiment} is in {scenario}; its runs are in {}", names.join(", ")))
 }
 
-/// Prints the commands that make the runs of the claims without data by the claims' own experiments.
-fn print_missing(runs: &Analysis, judgments: &[&Judgment], quick: bool) -> Result<()> {
+/// Prints the commands that make the runs of the claims without data: those of this spec with readings or, without it, of
+/// the claims' own experiments.
+fn print_missing(
+    runs: &Analysis,
+    judgments: &[&Judgment],
+    readings: Option<&Experiment>,
+    quick: bool,
+) -> Result<()> {
     print_absent(runs, judgments, quick)?;
-    print_commands(runs, lacking(judgments), quick);
+    match readings {
+        Some(spec) if lacking(judgments).next().is_some() => {
+            print_commands(runs, std::iter::once(&name_of(spec)), quick);
+        }
+        _ => print_commands(runs, lacking(judgments), quick),
+    }
     Ok(())
+}
+
+/// The name by which a spec is found. The experiment of its quick runs has another one.
+fn name_of(spec: &Experiment) -> String {
+    spec.name.strip_suffix(QUICK).unwrap_or(&spec.name).to_owned()
 }
 
 /// The experiments of the claims without data.

@@ -361,9 +361,7 @@ fn windows(task: &OpenTask) -> String {
 
 /// Prints the metrics of the experiment's runs with these tasks, and their baselines.
 fn print_results(registry: &Registry, experiment: &str, tasks: &[String]) -> Result<()> {
-    let is_own = |record: &RunRecord| {
-        record.experiment == experiment && tasks.contains(&record.spec.task_hash(&record.dataset))
-    };
+    let is_own = |record: &RunRecord| record.experiment == experiment && tasks.contains(&record.task_hash());
     let sheet = results::sheet(registry, Metrics::Main, is_own)?;
     if sheet.rows.is_empty() {
         return Ok(());

@@ -47,6 +47,10 @@ fn optional() -> impl TypedValueParser<Value = Table> {
 impl Publish {
     /// Publishes the runs of the experiments that count, or all of them completely.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
+        let to = Registry::new(&self.output);
+        if self.output.is_file() {
+            to.check_writable()?;
+        }
         if self.complete {
             return self.copy(registry);
         }
@@ -59,7 +63,6 @@ impl Publish {
             analysis.check_uniform(experiment, true).map_err(AnalysisError::from)?;
             chosen.extend(analysis.runs(experiment).iter().map(|run| (run.folder(), &run.record)));
         }
-        let to = Registry::new(&self.output);
         let content = Content { networks: self.networks, without: &self.without };
         let Published { runs, bytes } = transfer::publish(registry, chosen, &to, content, &Bars::default())?;
         for left_out in to.left_out() {

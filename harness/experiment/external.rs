@@ -172,12 +172,13 @@ impl PredictionTask {
 
     /// Returns the hash of the task; see [`RunSpec::task_hash`].
     pub fn hash(&self) -> String {
-        self.spec.task_hash(self.source.dataset.name())
+        let test = self.source.test.as_ref().map(AnyDataset::name);
+        self.spec.task_hash(&self.spec.data(self.source.dataset.name(), test))
     }
 
     /// Returns the number of episodes that have not been collected.
     pub fn missing(&self) -> usize {
-        self.source.simulated().map(|dataset| dataset.missing().len()).sum()
+        self.source.simulated().map(|(dataset, _)| dataset.missing().len()).sum()
     }
 
     /// Returns the spec of a run of a model.
@@ -443,8 +444,8 @@ impl Runner<'_> {
         let recorded = task.recorded(&model, predictions, self.progress)?;
         let spec = task.task.run(&model, seed);
         let source = &task.task.source;
-        let folder = self.registry.run(&task.task.experiment, &spec, source.dataset.name());
-        let folder = folder.with_test(source.test.as_ref().map(AnyDataset::name));
+        let (experiment, test) = (&task.task.experiment, source.test.as_ref().map(AnyDataset::name));
+        let folder = self.registry.run_with_test(experiment, &spec, source.dataset.name(), test);
         let submission = Submission {
             task: task.task.hash(),
             predictions_sha256: digest(&recorded),

@@ -201,6 +201,8 @@ struct Source {
     /// The dataset for the test, if it has one of its own.
     test: Option<AnyDataset>,
     scene: Option<Box<Scene>>,
+    /// The scene of the test, if it is in another world.
+    test_scene: Option<Box<Scene>>,
 }
 
 impl Source {
@@ -214,11 +216,18 @@ impl Source {
         self.dataset.len() + self.test.as_ref().map_or(0, AnyDataset::len)
     }
 
-    /// Returns the simulated datasets.
-    fn simulated(&self) -> impl Iterator<Item = &Dataset> {
-        std::iter::once(&self.dataset).chain(&self.test).filter_map(|dataset| match dataset {
-            AnyDataset::Simulated(dataset) => Some(dataset),
-            AnyDataset::Imported(_) => None,
+    /// Returns the scene of the test; `None` if it is imported.
+    fn tested_scene(&self) -> Option<&Scene> {
+        self.test_scene.as_deref().or(self.scene.as_deref())
+    }
+
+    /// Returns the simulated datasets with their scenes.
+    fn simulated(&self) -> impl Iterator<Item = (&Dataset, &Scene)> {
+        let own = Some((&self.dataset, self.scene.as_deref()));
+        let test = self.test.as_ref().map(|test| (test, self.tested_scene()));
+        own.into_iter().chain(test).filter_map(|of| match of {
+            (AnyDataset::Simulated(dataset), Some(scene)) => Some((dataset, scene)),
+            _ => None,
         })
     }
 
@@ -231,35 +240,51 @@ impl Source {
         }
         let unsuitable =
             |problem| ExperimentError::Unsuitable { dataset: self.dataset.name().to_owned(), problem };
-        if let Some(difference) = self.test.as_ref().and_then(|test| self.dataset.difference(test)) {
-            return Err(unsuitable(format!(
-                "{difference}, so it can't be the test; import both recordings with the same modalities and rate"
-            )));
+        let difference = |test| self.dataset.difference(test, &spec.modalities());
+        if let Some(difference) = self.test.as_ref().and_then(difference) {
+            let remedy = match spec.other_world() {
+                Some(world) => format!(
+                    "define what the runs use in the same way in the worlds {} and {world}, or change test.world",
+                    spec.scenario
+                ),
+                None => "import both recordings with the same modalities and rate".to_owned(),
+            };
+            return Err(unsuitable(format!("{difference}, so it can't be the test; {remedy}")));
         }
         spec.check(self.dataset.layout()).map_err(unsuitable)
     }
 
-    /// Returns the path of the world file; `None` for a built-in world and an imported dataset, and for a path that is
-    /// not UTF-8, because records are texts.
+    /// Returns the path of the world file; `None` for a built-in world and an imported dataset.
     fn world_file(&self) -> Option<PathBuf> {
-        let path = self.scene.as_ref().and_then(|scene| scene.world().path());
-        path.filter(|path| path.to_str().is_some())
+        path_of(self.scene.as_deref())
     }
 
     /// Returns the provenance of a run on these samples.
     fn provenance(&self, by: &Provenance) -> Provenance {
-        let world = match &self.dataset {
+        let version = |dataset: &AnyDataset| match dataset {
             AnyDataset::Simulated(dataset) => Some(dataset.world_version()),
             AnyDataset::Imported(_) => None,
         };
-        Provenance { world_file: self.world_file(), world, ..by.clone() }
+        let other = self.test.as_ref().filter(|_| self.test_scene.is_some());
+        Provenance {
+            world_file: self.world_file(),
+            world: version(&self.dataset),
+            test_world_file: path_of(self.test_scene.as_deref()),
+            test_world: other.and_then(version),
+            ..by.clone()
+        }
     }
 
-    /// Returns the world if its files have changed since it was read.
-    fn changed_world(&self) -> Option<&World> {
-        let scene = self.scene.as_ref().filter(|scene| scene.has_changed())?;
-        Some(scene.world())
+    /// Returns the worlds whose files have changed since they were read.
+    fn changed_worlds(&self) -> impl Iterator<Item = &World> {
+        let scenes = self.scene.iter().chain(&self.test_scene);
+        scenes.filter(|scene| scene.has_changed()).map(|scene| &**scene.world())
     }
+}
+
+/// Returns the path of the world file of a scene; `None` for a path that is not UTF-8, because records are texts.
+fn path_of(scene: Option<&Scene>) -> Option<PathBuf> {
+    scene?.world().path().filter(|path| path.to_str().is_some())
 }
 
 impl Planned {
@@ -282,7 +307,8 @@ impl Planned {
     /// Returns the dataset for training and validation, and that for the test; `None` if the test has none of its own.
     pub fn datasets_with_test(&self) -> Option<(&Dataset, &Dataset)> {
         let mut datasets = self.source.simulated();
-        datasets.next().zip(datasets.next())
+        let (dataset, _) = datasets.next()?;
+        datasets.next().map(|(test, _)| (dataset, test))
     }
 
     /// Returns the layout of the dataset's samples.
@@ -349,11 +375,9 @@ impl<'a> Runner<'a> {
                 }
             };
             source.check(&spec)?;
-            let name = source.dataset.name();
-            let folder = |spec: RunSpec| {
-                let folder = self.registry.run(&experiment.name, &spec, name);
-                (folder.with_test(source.test.as_ref().map(AnyDataset::name)), spec)
-            };
+            let (name, test) = (source.dataset.name(), source.test.as_ref().map(AnyDataset::name));
+            let folder =
+                |spec: RunSpec| (self.registry.run_with_test(&experiment.name, &spec, name, test), spec);
             let rungs: Rungs = Arc::new(experiment.rungs(&spec).into_iter().map(folder).collect());
             wanted.push((rungs, source));
         }
@@ -387,18 +411,22 @@ impl<'a> Runner<'a> {
         let source = match (experiment.world(&spec.scenario), &spec.scenario) {
             (Some(world), _) => {
                 let scene = Box::new(Scene::new(world)?);
+                let other = spec.other_world().and_then(|other| experiment.world(other));
+                let test_scene = other.map(Scene::new).transpose()?.map(Box::new);
+                let of_test = test_scene.as_ref().unwrap_or(&scene);
                 let simulation = spec.simulation.clone().unwrap_or_default();
                 let test = spec.test_simulation();
-                std::iter::once(&simulation).chain(&test).try_for_each(|of| scene.check(of))?;
+                scene.check(&simulation)?;
+                test.iter().try_for_each(|test| of_test.check(test))?;
                 let dataset = AnyDataset::Simulated(dataset_of(&root, &scene, &simulation));
-                let test = test.map(|simulation| dataset_of(&root, &scene, &simulation).into());
-                Source { dataset, test, scene: Some(scene) }
+                let test = test.map(|simulation| dataset_of(&root, of_test, &simulation).into());
+                Source { dataset, test, scene: Some(scene), test_scene }
             }
             (None, origin) => {
                 let open = |name: &str| Imported::open(&root, name).map(AnyDataset::Imported);
                 let test = spec.test.as_ref().and_then(|test| test.dataset.as_deref());
                 let (dataset, test) = (open(origin.name())?, test.map(open).transpose()?);
-                Source { dataset, test, scene: None }
+                Source { dataset, test, scene: None, test_scene: None }
             }
         };
         Ok(source)
@@ -416,8 +444,7 @@ impl<'a> Runner<'a> {
     /// Collects the missing episodes of a run's dataset, if there is room for it.
     fn collect(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
         self.check_room(source, frames)?;
-        let Some(scene) = &source.scene else { return Ok(()) };
-        for dataset in source.simulated() {
+        for (dataset, scene) in source.simulated() {
             match self.shard {
                 Some(shard) => collect_together(dataset, scene, shard, self.threads, self.progress)?,
                 None => collect(dataset, scene, self.threads, self.progress)?,

@@ -7,11 +7,10 @@ use super::{
 use crate::collection::check_missing;
 use crate::turns::{Turn, Turns};
 use harness_learning::open_device;
-use harness_registry::dataset::AnyDataset;
 use harness_registry::{Claimed, Decision, LiveEpochs, Outcome, Provenance, RunRecord, Status};
 use harness_shared::files::FolderLock;
 use harness_shared::memory;
-use harness_spec::{Division, Experiment, RunSpec, Task, Trained};
+use harness_spec::{Division, Experiment, RunSpec, Task, Trained, World};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -174,11 +173,8 @@ impl Runner<'_> {
     fn check_missing(&self, pending: &[&Planned]) -> Result<(), ExperimentError> {
         let mut sources: Vec<&Arc<Source>> = pending.iter().map(|planned| &planned.source).collect();
         sources.dedup_by(|a, b| Arc::ptr_eq(a, b));
-        let datasets = sources.into_iter().filter_map(|source| match &source.dataset {
-            AnyDataset::Simulated(dataset) => Some(dataset),
-            AnyDataset::Imported(_) => None,
-        });
-        Ok(check_missing(datasets)?)
+        let datasets = sources.into_iter().flat_map(|source| source.simulated());
+        Ok(check_missing(datasets.map(|(dataset, _)| dataset))?)
     }
 
     /// Whether no further run is tried, because one failed.
@@ -188,13 +184,13 @@ impl Runner<'_> {
 
     /// Reports, once for each world, that its files have changed since the plan was made.
     fn say_if_changed(&self, run: &Planned, said: &mut BTreeSet<String>) {
-        let Some(world) = run.source.changed_world() else { return };
-        let label = world.label();
-        if said.insert(label.to_owned()) {
-            self.progress.say(&format!(
-                "{label}, its model, or a file of the model has changed since this command began; its runs use the old \
-                 version, and running the same command again makes those of the new version"
-            ));
+        for label in run.source.changed_worlds().map(World::label) {
+            if said.insert(label.to_owned()) {
+                self.progress.say(&format!(
+                    "{label}, its model, or a file of the model has changed since this command began; its runs use the \
+                     old version, and running the same command again makes those of the new version"
+                ));
+            }
         }
     }
 

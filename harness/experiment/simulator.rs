@@ -100,7 +100,7 @@ pub(super) fn simulated(
     progress: &dyn Progress,
 ) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
     let tested = source.tested();
-    let (AnyDataset::Simulated(dataset), Some(scene)) = (&tested, &source.scene) else {
+    let (AnyDataset::Simulated(dataset), Some(scene)) = (&tested, source.tested_scene()) else {
         return Err(SimulatorError::Imported(tested.name().to_owned()).into());
     };
     let is_sensed = |modality: &&Modality| {
@@ -157,7 +157,7 @@ fn simulate_from(
         let stored = at.iter().flat_map(|sample| samples.vector(modality, *sample));
         present.vector(modality).iter().eq(stored)
     };
-    if !dataset.layout().stored_vectors().all(|definition| is_same(definition.name)) {
+    if !samples.layout().stored_vectors().all(|definition| is_same(definition.name)) {
         let (episode, dataset) = (place as u32, dataset.name().to_owned());
         return Err(SimulatorError::Differs { episode, dataset }.into());
     }

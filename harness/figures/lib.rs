@@ -28,7 +28,7 @@ mod task;
 mod text;
 
 pub use forces_dataset::SQL as FORCES_SQL;
-use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, Question, finished};
+use harness_analysis::{Analysis, AnalysisError, Key, Labels, Mixed, Question, Setting, finished};
 use harness_catalog::{QueryError, save};
 use harness_learning::LearningError;
 use harness_shared::files::{WriteError, write_bytes};
@@ -66,7 +66,14 @@ pub enum FigureError {
     /// A role under a reading of an experiment has no finished runs, and no others stand for them.
     #[error(
         "there are no finished runs of {experiment} under the reading '{reading}' in the role {role}{}",
-        command.as_ref().map_or_else(String::new, |command| format!("; make them with `{command}`"))
+        match (&excluded_by[..], command) {
+            ([], None) => String::new(),
+            ([], Some(command)) => format!("; make them with `{command}`"),
+            (settings, _) => format!(
+                " with {}, and there are others; choose by other settings",
+                settings.iter().map(Setting::to_string).collect::<Vec<_>>().join(" and ")
+            ),
+        }
     )]
     NoRole {
         /// The experiment's name.
@@ -75,6 +82,8 @@ pub enum FigureError {
         reading: String,
         /// The role's name.
         role: &'static str,
+        /// The requested settings, if there are runs without them.
+        excluded_by: Vec<Setting>,
         /// The command that makes the experiment's runs. `None` if there is no spec of the experiment's name.
         command: Option<String>,
     },

@@ -165,12 +165,16 @@ impl<'a> Source<'a> {
         };
         match self.analysis.runs_under(of.experiment(), of.reading(), study.name()).first() {
             Some(run) => self.runs_of(&run.record.experiment, Some(&run.record.spec.variant)),
-            None => Err(FigureError::NoRole {
-                experiment: experiment.to_owned(),
-                reading: of.reading().to_owned(),
-                role: study.name(),
-                command: command(self.analysis, experiment),
-            }),
+            None => {
+                let excluded_by = self.analysis.excluding(of.experiment(), of.reading(), study.name());
+                Err(FigureError::NoRole {
+                    experiment: experiment.to_owned(),
+                    reading: of.reading().to_owned(),
+                    role: study.name(),
+                    command: command(self.analysis, experiment).filter(|_| excluded_by.is_empty()),
+                    excluded_by,
+                })
+            }
         }
     }
 

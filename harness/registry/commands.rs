@@ -2,7 +2,7 @@
 
 use super::command_line::{command_in, command_of};
 use super::folders::Recorded;
-use super::record::RunRecord;
+use super::record::{RunRecord, SimulatedFor};
 use super::{Registry, SPEC};
 use harness_shared::files::folders;
 use harness_shared::{path_word, quoted};
@@ -74,10 +74,18 @@ impl<'a> Commands<'a> {
         if spec.trained().is_none() {
             return Again::Unknown;
         }
-        let is_own = |dataset: &String| self.registry.run(experiment, &spec, dataset).path() == folder;
-        let Some(dataset) = self.datasets().into_iter().find(is_own) else { return Again::Unknown };
+        let datasets = self.datasets();
+        let tests: Vec<Option<&str>> = match spec.other_world() {
+            Some(_) => datasets.iter().map(|test| Some(test.as_str())).collect(),
+            None => vec![None],
+        };
+        let is_of = |dataset: &str, test: Option<&str>| {
+            self.registry.run_with_test(experiment, &spec, dataset, test).path() == folder
+        };
+        let is_own = |dataset: &&String| tests.iter().any(|test| is_of(dataset, *test));
+        let Some(dataset) = datasets.iter().find(is_own) else { return Again::Unknown };
         // Without a record, the world is that of another run on the dataset.
-        let same = || self.recorded.iter().map(|(_, other)| other).find(|other| other.dataset == dataset);
+        let same = || self.recorded.iter().map(|(_, other)| other).find(|other| other.dataset == *dataset);
         let like = record.or_else(same);
         let world = like.and_then(|record| record.provenance.world_file.as_deref());
         let is_other = |other: &&RunRecord| other.experiment == experiment && other.spec.trained().is_some();
@@ -124,18 +132,20 @@ impl<'a> Commands<'a> {
 
     /// Why the dataset of a run can't be had any more, and what to do. `None` if nothing is known against it.
     fn loss(&self, record: &RunRecord) -> Option<String> {
-        let Some(simulation) = &record.spec.simulation else {
+        if record.spec.simulation.is_none() {
             let mut datasets = record.datasets();
             let is_gone = datasets.any(|(name, _)| !self.registry.datasets().join(name).exists());
             let reason = "the dataset was imported, and is not there; import it again with the same mapping";
             return is_gone.then(|| reason.to_owned());
+        }
+        let has_changed = |of: &SimulatedFor| {
+            let now = self.registry.datasets_now?(&of.world, &[&of.simulation])?;
+            Some(!now.iter().any(|now| now == of.dataset))
         };
-        let now = self.registry.datasets_now?(&record.world(), &[simulation])?;
-        (!now.contains(&record.dataset)).then(|| {
+        record.simulated().find(|of| has_changed(of) == Some(true)).map(|SimulatedFor { scenario, dataset, .. }| {
             format!(
-                "the world {} or MuJoCo has changed since, so it can't be made again; undo the change and verify again, \
-                 or remove the runs on the dataset {}",
-                record.spec.scenario, record.dataset
+                "the world {scenario} or MuJoCo has changed since, so it can't be made again; undo the change and \
+                 verify again, or remove the runs on the dataset {dataset}"
             )
         })
     }

@@ -168,14 +168,25 @@ impl Registry {
     /// The folder of the run with this spec on this dataset. Two runs have the same folder only if they have the same
     /// result.
     pub fn run(&self, experiment: &str, spec: &RunSpec, dataset: &str) -> RunFolder {
-        let id = format!("{}-{}", spec.label(), identity(&spec.hash(), dataset, REVISION));
+        self.run_with_test(experiment, spec, dataset, None)
+    }
+
+    /// Like [`run`](Self::run), for a run whose test has this dataset of its own.
+    pub fn run_with_test(
+        &self,
+        experiment: &str,
+        spec: &RunSpec,
+        dataset: &str,
+        test: Option<&str>,
+    ) -> RunFolder {
+        let id = format!("{}-{}", spec.label(), identity(&spec.hash(), &spec.data(dataset, test), REVISION));
         let path = self.runs().join(experiment).join(&id);
         RunFolder {
             path,
             experiment: experiment.to_owned(),
             id,
             dataset: dataset.to_owned(),
-            test_dataset: None,
+            test_dataset: test.map(str::to_owned),
         }
     }
 
@@ -262,17 +273,11 @@ fn removed(path: &Path, result: io::Result<()>) -> Result<(), WriteError> {
 }
 
 /// The end of a run's id: the first eight digits of a hash of everything that determines the run's result.
-fn identity(spec_hash: &str, dataset: &str, revision: u32) -> String {
-    hex(&Sha256::digest(format!("{spec_hash} {dataset} {revision}"))[..4])
+fn identity(spec_hash: &str, data: &str, revision: u32) -> String {
+    hex(&Sha256::digest(format!("{spec_hash} {data} {revision}"))[..4])
 }
 
 impl RunFolder {
-    /// The same folder, of a run whose test has this dataset of its own. The run's id contains the hash of the test's
-    /// settings and of the world, which determine the dataset.
-    pub fn with_test(self, dataset: Option<&str>) -> Self {
-        Self { test_dataset: dataset.map(str::to_owned), ..self }
-    }
-
     /// The run's id, such as `empty-z4-seed0-5c94f6a8`.
     pub fn id(&self) -> &str {
         &self.id

@@ -57,6 +57,12 @@ pub struct Provenance {
     /// is gone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world: Option<WorldVersion>,
+    /// Absolute path of the world file of the run's test, if it is in another world that is not built in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub test_world_file: Option<PathBuf>,
+    /// The version of the world of the run's test, if it is another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub test_world: Option<WorldVersion>,
     /// The command, quoted for a shell. A run's record has the command that makes only this run.
     pub command: String,
 }
@@ -83,6 +89,8 @@ impl Provenance {
             threads,
             world_file: None,
             world: None,
+            test_world_file: None,
+            test_world: None,
             command,
         }
     }

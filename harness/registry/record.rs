@@ -7,7 +7,7 @@ use harness_judge::{FrameRow, Judged, MetricRow, PredictionRow, SumRow, is_usual
 use harness_metrics::contact::{Contact, QUANTILES};
 use harness_metrics::epoch::Epoch;
 use harness_shared::seal::{self, SealError, hex};
-use harness_spec::{Layout, Modality, RunSpec, Task, World};
+use harness_spec::{Layout, Modality, Origin, RunSpec, Simulation, Task, World};
 use harness_tables::schema::{GIVEN, HORIZON, TRAINED_HERE, Table};
 use harness_tables::{Stamp, TableError, column_of, read_footer};
 use jiff::Timestamp;
@@ -259,6 +259,35 @@ pub enum WorldOf {
     Dataset(String),
 }
 
+/// The world of a run, and that of its test if this is another one.
+pub(super) type Worlds = (WorldOf, Option<WorldOf>);
+
+impl WorldOf {
+    /// The world with this name, of the file `file` if it is not built in, in which a dataset was simulated.
+    fn new(scenario: &Origin, file: &Option<PathBuf>, dataset: &str) -> Self {
+        match file {
+            Some(path) => Self::File(path.clone()),
+            None if World::named(scenario.name()).is_some() => Self::BuiltIn(scenario.name().to_owned()),
+            None => Self::Dataset(dataset.to_owned()),
+        }
+    }
+}
+
+/// A dataset that was simulated for a run.
+#[derive(Debug, Clone)]
+pub(super) struct SimulatedFor<'a> {
+    /// Name of the dataset.
+    pub dataset: &'a str,
+    /// Name of its world.
+    pub scenario: &'a Origin,
+    /// Its world.
+    pub world: WorldOf,
+    /// The version of the world; `None` if it is not known.
+    pub version: Option<&'a WorldVersion>,
+    /// The settings of the simulation.
+    pub simulation: Simulation,
+}
+
 /// Whether a file of a finished run with this name belongs to a network, or is an attached model.
 pub fn is_network(name: &str) -> bool {
     name != SPEC && !name.ends_with(".parquet")
@@ -270,14 +299,12 @@ impl RunRecord {
         self.files.keys().any(|name| is_network(name))
     }
 
-    /// The run's world.
-    pub fn world(&self) -> WorldOf {
-        let name = self.spec.scenario.name();
-        match &self.provenance.world_file {
-            Some(path) => WorldOf::File(path.clone()),
-            None if World::named(name).is_some() => WorldOf::BuiltIn(name.to_owned()),
-            None => WorldOf::Dataset(self.dataset.clone()),
-        }
+    /// The run's world, and that of its test if this is another one.
+    pub(super) fn worlds(&self) -> Worlds {
+        let Provenance { world_file, test_world_file, .. } = &self.provenance;
+        let own = WorldOf::new(&self.spec.scenario, world_file, &self.dataset);
+        let test = self.spec.other_world().zip(self.test_dataset.as_deref());
+        (own, test.map(|(scenario, dataset)| WorldOf::new(scenario, test_world_file, dataset)))
     }
 
     /// The record of a run that starts now.
@@ -313,6 +340,38 @@ impl RunRecord {
     /// The name of what predicts, in the column `model`: that of a network, or of a model of another program.
     pub fn predictor(&self) -> &str {
         self.spec.trained().map_or(self.spec.model.name(), |_| models::NETWORK)
+    }
+
+    /// The hash of what the run asks of a model; see [`RunSpec::task_hash`].
+    pub fn task_hash(&self) -> String {
+        self.spec.task_hash(&self.data())
+    }
+
+    /// What names the run's data in hashes.
+    fn data(&self) -> String {
+        self.spec.data(&self.dataset, self.test_dataset.as_deref())
+    }
+
+    /// The datasets that were simulated for the run, each in a world of its own: that for training and, if the test is
+    /// in another world, that for the test.
+    pub(super) fn simulated(&self) -> impl Iterator<Item = SimulatedFor<'_>> {
+        let Self { dataset, spec, provenance, .. } = self;
+        let (world, other) = self.worlds();
+        let own = spec.simulation.clone().map(|simulation| SimulatedFor {
+            dataset,
+            scenario: &spec.scenario,
+            world,
+            version: provenance.world.as_ref(),
+            simulation,
+        });
+        let test = other.zip(spec.test_simulation()).map(|(world, simulation)| SimulatedFor {
+            dataset: self.tested(),
+            scenario: spec.tested_in(),
+            world,
+            version: provenance.test_world.as_ref(),
+            simulation,
+        });
+        own.into_iter().chain(test)
     }
 
     /// The name of the dataset that has the test episodes.
@@ -421,7 +480,8 @@ impl RunRecord {
 
     /// The revision of the method that made the run, or `None` if the run's id matches no revision up to this one.
     pub fn revision(&self) -> Option<u32> {
-        let is_of = |revision: &u32| self.run.ends_with(&identity(&self.spec_hash, &self.dataset, *revision));
+        let data = self.data();
+        let is_of = |revision: &u32| self.run.ends_with(&identity(&self.spec_hash, &data, *revision));
         (0..=REVISION).rev().find(is_of)
     }
 
@@ -435,7 +495,7 @@ impl RunRecord {
     fn group_hash(&self) -> String {
         let spec = RunSpec { seed: 0, ..self.spec.clone() };
         let revision = self.revision().map_or("unknown".to_owned(), |revision| revision.to_string());
-        let digest = Sha256::digest(format!("{} {} {revision}", spec.hash(), self.dataset));
+        let digest = Sha256::digest(format!("{} {} {revision}", spec.hash(), self.data()));
         hex(&digest[..8])
     }
 
@@ -538,10 +598,7 @@ pub fn runs_table(records: Vec<RunRecord>) -> PolarsResult<LazyFrame> {
         let text = |_: &Schema, field: &Field| Ok(Field::new(field.name().clone(), DataType::String));
         col(RECORD).map(hashes, text).alias(name)
     };
-    let hashes = [
-        hash("group_hash", RunRecord::group_hash),
-        hash("task_hash", |run| run.spec.task_hash(&run.dataset)),
-    ];
+    let hashes = [hash("group_hash", RunRecord::group_hash), hash("task_hash", RunRecord::task_hash)];
     let records = shared.as_slice();
     let seconds = |name: &str, of: fn(&Timings) -> Option<f64>| {
         column_of(records, name, |run| run.timings.as_ref().and_then(of))

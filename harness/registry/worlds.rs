@@ -1,5 +1,6 @@
 //! Which version of each world counts. Results of a world before and after a change are never averaged.
 
+use super::record::SimulatedFor;
 use super::{Recorded, Registry, RunRecord, Status, WorldOf};
 use crate::dataset::WorldVersion;
 use harness_shared::numbers::counted;
@@ -25,6 +26,8 @@ pub struct Outdated {
 struct OnDataset<'a> {
     /// The one that was started last.
     latest: &'a RunRecord,
+    /// The dataset.
+    of: SimulatedFor<'a>,
     version: WorldVersion,
 }
 
@@ -60,17 +63,16 @@ impl Registry {
             let Some(counted) = counts.iter().position(|counts| *counts) else { continue };
             let others = datasets.iter().zip(&counts).filter(|(_, counts)| !**counts);
             let versions = |on: &OnDataset| [on.version.clone(), datasets[counted].version.clone()];
-            outdated.datasets.extend(others.map(|(on, _)| (on.latest.dataset.clone(), versions(on))));
+            outdated.datasets.extend(others.map(|(on, _)| (on.of.dataset.to_owned(), versions(on))));
         }
         outdated
     }
 
     /// Whether the same runs would be made on each of these datasets now. `None` if the world can't be compiled.
     fn made_now(&self, world: &WorldOf, datasets: &[OnDataset]) -> Option<Vec<bool>> {
-        let settings: Vec<&Simulation> =
-            datasets.iter().filter_map(|on| on.latest.spec.simulation.as_ref()).collect();
+        let settings: Vec<&Simulation> = datasets.iter().map(|on| &on.of.simulation).collect();
         let now = self.datasets_now?(world, &settings)?;
-        Some(datasets.iter().zip(&now).map(|(on, now)| on.latest.dataset == *now).collect())
+        Some(datasets.iter().zip(&now).map(|(on, now)| on.of.dataset == now).collect())
     }
 
     /// Remembers that these runs are left out, for the message about what was left out.
@@ -114,7 +116,9 @@ impl Registry {
 impl Outdated {
     /// Whether a run does not count.
     pub fn has(&self, record: &RunRecord) -> bool {
-        record.status == Status::Done && self.datasets.contains_key(&record.dataset)
+        let test = record.test_dataset.as_ref().filter(|_| record.spec.other_world().is_some());
+        let mut datasets = std::iter::once(&record.dataset).chain(test);
+        record.status == Status::Done && datasets.any(|dataset| self.datasets.contains_key(dataset))
     }
 
     /// A sentence about those of these runs that don't count, for each world, with the world's name.
@@ -123,12 +127,14 @@ impl Outdated {
         type Versions<'a> = BTreeMap<String, (usize, BTreeSet<&'a str>)>;
         let mut worlds: BTreeMap<&str, Versions> = BTreeMap::new();
         for record in records.into_iter().filter(|record| self.has(record)) {
-            let [own, counts] = &self.datasets[&record.dataset];
-            let versions = worlds.entry(record.spec.scenario.name()).or_default();
-            let (runs, parts) = versions.entry(record.world_version()).or_default();
-            *runs += 1;
-            if record.provenance.world.is_some() {
-                parts.extend(own.differing(counts));
+            for SimulatedFor { dataset, scenario, version, .. } in record.simulated() {
+                let Some([own, counts]) = self.datasets.get(dataset) else { continue };
+                let versions = worlds.entry(scenario.name()).or_default();
+                let (runs, parts) = versions.entry(id_of(version)).or_default();
+                *runs += 1;
+                if version.is_some() {
+                    parts.extend(own.differing(counts));
+                }
             }
         }
         let note = |(scenario, versions): (&'a str, Versions)| {
@@ -149,8 +155,13 @@ impl Outdated {
 impl RunRecord {
     /// A short name of the version of the run's world, or [`UNKNOWN`].
     pub fn world_version(&self) -> String {
-        self.provenance.world.as_ref().map_or_else(|| UNKNOWN.to_owned(), WorldVersion::id)
+        id_of(self.provenance.world.as_ref())
     }
+}
+
+/// A short name of a version of a world, or [`UNKNOWN`].
+fn id_of(version: Option<&WorldVersion>) -> String {
+    version.map_or_else(|| UNKNOWN.to_owned(), WorldVersion::id)
 }
 
 /// Whether the version of each dataset agrees with those before it that agree with the first one.
@@ -169,24 +180,26 @@ fn agreeing(datasets: &[OnDataset]) -> Vec<bool> {
 
 /// The simulated datasets of finished runs by world. A world is `None` if its file is not known or gone.
 fn worlds(recorded: &[Recorded]) -> Vec<(Option<WorldOf>, Vec<OnDataset<'_>>)> {
-    let mut latest: BTreeMap<&str, &RunRecord> = BTreeMap::new();
+    let mut latest: BTreeMap<&str, (&RunRecord, SimulatedFor)> = BTreeMap::new();
     let records = recorded.iter().map(|(_, record)| record);
-    for record in records.filter(|record| record.status == Status::Done && record.spec.simulation.is_some()) {
-        let other = latest.entry(&record.dataset).or_insert(record);
-        if (&record.started, &record.run) > (&other.started, &other.run) {
-            *other = record;
+    for record in records.filter(|record| record.status == Status::Done) {
+        for of in record.simulated() {
+            let other = latest.entry(of.dataset).or_insert_with(|| (record, of.clone()));
+            if (&record.started, &record.run) > (&other.0.started, &other.0.run) {
+                *other = (record, of);
+            }
         }
     }
     let mut worlds: BTreeMap<&str, BTreeMap<Option<WorldOf>, Vec<OnDataset>>> = BTreeMap::new();
-    for latest in latest.into_values() {
-        let world = Some(latest.world()).filter(|world| match world {
+    for (latest, of) in latest.into_values() {
+        let world = Some(of.world.clone()).filter(|world| match world {
             WorldOf::BuiltIn(_) => true,
             WorldOf::File(path) => path.exists(),
             WorldOf::Dataset(_) => false,
         });
-        let version = latest.provenance.world.clone().unwrap_or_else(|| unknown(latest));
-        let same_name = worlds.entry(latest.spec.scenario.name()).or_default();
-        same_name.entry(world).or_default().push(OnDataset { latest, version });
+        let version = of.version.cloned().unwrap_or_else(|| unknown(&of));
+        let same_name = worlds.entry(of.scenario.name()).or_default();
+        same_name.entry(world).or_default().push(OnDataset { latest, of, version });
     }
     let mut all = Vec::new();
     for mut same_name in worlds.into_values() {
@@ -203,9 +216,8 @@ fn worlds(recorded: &[Recorded]) -> Vec<(Option<WorldOf>, Vec<OnDataset<'_>>)> {
 }
 
 /// The version of a world of which only the dataset is known. Each dataset with the same settings is another one.
-fn unknown(record: &RunRecord) -> WorldVersion {
-    let settings =
-        record.spec.simulation.as_ref().map(|settings| Simulation { episodes: 0, ..settings.clone() });
+fn unknown(of: &SimulatedFor) -> WorldVersion {
+    let settings = Simulation { episodes: 0, ..of.simulation.clone() };
     let settings = serde_json::to_string(&settings).unwrap_or_default();
-    WorldVersion::unknown(&settings, &record.dataset)
+    WorldVersion::unknown(&settings, of.dataset)
 }

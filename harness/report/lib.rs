@@ -115,7 +115,7 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
         Err(FigureError::NoRuns { experiment, command, .. }) => {
             (format!("There is no finished run of {experiment}."), command)
         }
-        Err(FigureError::NoRole { experiment, reading, role, command }) => {
+        Err(FigureError::NoRole { experiment, reading, role, command, .. }) => {
             let of = format!("{experiment} under the reading {reading} in the role {role}");
             (format!("There is no finished run of {of}."), command)
         }

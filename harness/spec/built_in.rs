@@ -26,6 +26,7 @@ macro_rules! built_in {
 pub const SPECS: &[BuiltIn] = built_in![
     "choose_recommended",
     "first",
+    "hidden_stiffness",
     "history",
     "intervals",
     "missing",
@@ -36,6 +37,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "recommended",
     "reproduction",
     "search",
+    "shift",
     "single_to_multi",
     "smoke",
     "which_sense",

@@ -5,7 +5,7 @@ use super::overrides;
 use super::run::{Model, RunSpec, Trained};
 use super::search::{Search, Trial};
 use super::simulation::Simulation;
-use super::types::{Experiment, Reading, Task, Training};
+use super::types::{Experiment, Reading, Task, TestDataset, Training};
 use super::vary::FOLD;
 use super::world::{Known, World};
 use crate::layout::{GivenScaling, Layout, Modality, Scaling, Scalings};
@@ -18,6 +18,8 @@ use std::sync::Arc;
 
 /// Key of the setting that distinguishes datasets of the same simulation.
 pub(super) const DATASET_SEED: &str = "simulation.seed";
+/// Key of the world of the test.
+pub(super) const TEST_WORLD: &str = "test.world";
 
 impl Experiment {
     /// Returns the runs, ordered by scenario, variant, latent size and seed, each in the spec's order. In a search with
@@ -76,19 +78,22 @@ impl Experiment {
     /// Returns the world and the simulation settings of each dataset that the runs need, also of those for the test,
     /// except imported datasets.
     pub fn simulated(&self) -> Vec<(Arc<World>, Simulation)> {
-        let mut found: Vec<(Origin, Simulation)> = Vec::new();
+        let mut found: Vec<(Arc<World>, Simulation)> = Vec::new();
         for run in self.runs() {
-            let test = run.test_simulation();
-            for simulation in run.simulation.into_iter().chain(test) {
-                let wanted = (run.scenario.clone(), simulation);
-                if !found.contains(&wanted) {
-                    found.push(wanted);
+            let own = run.simulation.clone().map(|simulation| (&run.scenario, simulation));
+            let test = run.test_simulation().map(|simulation| (run.tested_in(), simulation));
+            for (origin, simulation) in own.into_iter().chain(test) {
+                let Some(world) = self.world(origin) else { continue };
+                let simulation = world.complete(&simulation);
+                let is_it = |(other, own): &(Arc<World>, Simulation)| {
+                    other.scenario() == world.scenario() && *own == simulation
+                };
+                if !found.iter().any(is_it) {
+                    found.push((world, simulation));
                 }
             }
         }
-        let with_world =
-            |(origin, simulation): (Origin, Simulation)| Some((self.world(&origin)?, simulation));
-        found.into_iter().filter_map(with_world).collect()
+        found
     }
 
     /// Returns the value that a run has of each setting under `vary` with several values, without the dataset's seed.
@@ -183,7 +188,7 @@ impl Experiment {
             window: self.window.clone(),
             simulation: self.world(scenario).map(|world| world.complete(&self.simulation)),
             split: self.split.clone(),
-            test: self.test.clone(),
+            test: self.test_of(scenario),
             inputs: self.inputs.clone(),
             given: self.tests(),
             probes: self.probes.clone(),
@@ -194,6 +199,14 @@ impl Experiment {
                 training: self.training.clone(),
             })),
         }
+    }
+
+    /// Returns the dataset for the test of the runs in a world. It names no world if this is the same.
+    fn test_of(&self, origin: &Origin) -> Option<TestDataset> {
+        let test = self.test.clone()?;
+        let other = test.world.as_ref().and_then(Origin::scenario);
+        let world = other.filter(|other| origin.scenario() != Some(*other)).map(Origin::Simulated);
+        Some(TestDataset { world, ..test })
     }
 
     /// Returns the world of a scenario; `None` for an imported dataset.
@@ -354,6 +367,10 @@ impl<'a> Combination<'a> {
 
 /// Returns the name of a setting with a value: `kl_weight=0.001`.
 pub(super) fn named(key: &str, value: &Json) -> String {
+    // The name of a world file is short, and the folder in its path says nothing.
+    let world = value.as_str().filter(|_| key == TEST_WORLD);
+    let world = world.and_then(|path| Origin::try_from(path.to_owned()).ok());
+    let value = &world.map_or_else(|| value.clone(), |origin| origin.name().into());
     let key = key.split_once('.').map_or(key, |(_section, key)| key);
     let value: String = value.to_string().chars().filter(|c| !"\"[]{} ".contains(*c)).collect();
     format!("{key}={}", value.replace([',', '/'], "+"))

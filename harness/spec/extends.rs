@@ -1,10 +1,11 @@
 //! Specs that build on other specs: `extends: FILE.yaml`.
 
 use super::built_in::{SPECS, YamlFile, beside};
+use super::cells::TEST_WORLD;
 use super::origin::Origin;
 use super::schema::EXTENDS;
 use super::vary::VARY;
-use crate::yaml::{Node, Place, Problem, Value, parse};
+use crate::yaml::{Node, Place, Problem, Value, join, parse};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -45,8 +46,7 @@ fn below(file: &YamlFile, chain: &mut Vec<String>) -> Result<Node, Problem> {
         below(&base, chain).map_err(|problem| Problem::new(&in_base(&problem.place), problem.message))?;
     let mut tree = tree.placed(&in_base);
     OWN.iter().for_each(|key| drop(take(&mut tree, key)));
-    let folder = Path::new(name).parent().unwrap_or(Path::new(""));
-    tree.get_mut("scenarios").into_iter().for_each(|scenarios| relocate(scenarios, folder));
+    relocate(&mut tree, "", Path::new(name).parent().unwrap_or(Path::new("")));
     merge(&mut tree, own);
     Ok(tree)
 }
@@ -58,11 +58,16 @@ fn take(tree: &mut Node, key: &str) -> Option<Node> {
     Some(entries.remove(index).node)
 }
 
-/// Makes the paths of world files, which are relative to `folder`, relative to the folder above.
-fn relocate(scenarios: &mut Node, folder: &Path) {
-    match &mut scenarios.value {
-        Value::List(items) => items.iter_mut().for_each(|item| relocate(item, folder)),
-        Value::Text(text) if matches!(Origin::try_from(text.clone()), Ok(Origin::File(_))) => {
+/// Makes the paths of world files in the value of a dotted key, which are relative to `folder`, relative to the folder
+/// above. They are in `scenarios` and `test.world`, also in those of an axis or of `quick`.
+fn relocate(node: &mut Node, key: &str, folder: &Path) {
+    let is_world = ["scenarios", TEST_WORLD].iter().any(|name| key.ends_with(name));
+    match &mut node.value {
+        Value::Section(entries) => {
+            entries.iter_mut().for_each(|entry| relocate(&mut entry.node, &join(key, &entry.key), folder))
+        }
+        Value::List(items) => items.iter_mut().for_each(|item| relocate(item, key, folder)),
+        Value::Text(text) if is_world && matches!(Origin::try_from(text.clone()), Ok(Origin::File(_))) => {
             *text = folder.join(&*text).to_string_lossy().into_owned();
         }
         _ => {}

@@ -58,7 +58,7 @@ pub use types::*;
 pub use values::matching;
 pub use world::*;
 
-use cells::Combination;
+use cells::{Combination, TEST_WORLD};
 use kind::FileKind;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
@@ -323,7 +323,9 @@ fn resolve(worlds: &mut WorldFiles, tree: &Node) -> Result<Experiment, Problem> 
     let mut experiment: Experiment = serde_json::from_value(tree.to_json())
         .map_err(|error| Problem::new(&tree.place, error.to_string()))?;
     experiment.worlds = worlds.of(tree, &experiment.scenarios)?;
-    let at = |fault: validate::Fault| Problem::new(tree.place_of(&fault.path), fault.message);
+    let at = |fault: validate::Fault| {
+        Problem::new(tree.place_of(&fault.path), fault.message).in_items(&tree.items_on(&fault.path))
+    };
     experiment.take_defaults_of_worlds(tree).map_err(at)?;
     outputs::store(&mut experiment).map_err(|(path, message)| at(validate::Fault { path, message }))?;
     check_rates(tree, &experiment)?;
@@ -375,20 +377,34 @@ struct WorldFiles<'a> {
 }
 
 impl WorldFiles<'_> {
-    /// Returns the worlds of the world files among `scenarios`.
+    /// Returns the worlds of the world files among `scenarios`, and of those that the tests of some variant are in.
     fn of(&mut self, tree: &Node, scenarios: &[Origin]) -> Result<Vec<Arc<World>>, Problem> {
+        let of_scenario = |(index, origin): (usize, &Origin)| {
+            (origin.clone(), tree.place_of(&format!("scenarios.{index}")).clone())
+        };
+        let of_test = |node: Node| match node.value {
+            Value::Text(name) => Some((Origin::try_from(name).ok()?, node.place)),
+            _ => None,
+        };
+        let own = tree.get("test").and_then(|test| test.get("world")).cloned();
+        let varied = varied_settings(tree).into_iter().filter(|entry| entry.key == TEST_WORLD);
+        let of_tests = own.into_iter().chain(varied.map(|entry| entry.node)).filter_map(of_test);
+        let named = scenarios.iter().enumerate().map(of_scenario).chain(of_tests);
         let mut worlds: Vec<Arc<World>> = Vec::new();
-        for (index, origin) in scenarios.iter().enumerate() {
+        for (origin, place) in named {
             let Origin::File(path) = origin else { continue };
-            let at = |message: String| Problem::new(tree.place_of(&format!("scenarios.{index}")), message);
+            let at = |message: String| Problem::new(&place, message);
             let world = self.world(self.folder.join(path)).map_err(|error| at(error.to_string()))?;
-            if worlds.iter().any(|other| other.scenario() == world.scenario()) {
-                return Err(at(format!(
-                    "two world files are called '{}'; give one another name",
-                    world.scenario()
-                )));
+            match worlds.iter().find(|other| other.scenario() == world.scenario()) {
+                Some(same) if Arc::ptr_eq(same, &world) => {}
+                Some(_) => {
+                    return Err(at(format!(
+                        "two world files are called '{}'; give one another name",
+                        world.scenario()
+                    )));
+                }
+                None => worlds.push(world),
             }
-            worlds.push(world);
         }
         Ok(worlds)
     }
@@ -404,14 +420,16 @@ impl WorldFiles<'_> {
 }
 
 impl Experiment {
-    /// Sets the values that the spec leaves out to those of its worlds: the rates, and the worlds' own settings.
+    /// Sets the values that the spec leaves out to those of its worlds: the rates, and the worlds' own settings. The test
+    /// has the same values, so its world may not have others.
     fn take_defaults_of_worlds(&mut self, tree: &Node) -> Result<(), validate::Fault> {
         let world = |(index, origin)| Some((index, self.world(origin)?));
         let worlds: Vec<(usize, Arc<World>)> = self.scenarios.iter().enumerate().filter_map(world).collect();
         let Some((_, first)) = worlds.first() else { return Ok(()) };
         for (index, world) in &worlds {
             let is_first = Arc::ptr_eq(world, first);
-            let differs = |key: &str| validate::Fault::between_worlds(key, first, world, *index);
+            let path = format!("scenarios.{index}");
+            let differs = |key: &str| validate::Fault::between_worlds(key, first, world, &path);
             let own = world.simulation();
             let rates = [
                 ("sample_rate_hz", own.sample_rate_hz, &mut self.simulation.sample_rate_hz),
@@ -433,7 +451,22 @@ impl Experiment {
                 }
             }
         }
-        Ok(())
+        let Some(test) = self.test.as_ref().and_then(|test| self.world(test.world.as_ref()?)) else {
+            return Ok(());
+        };
+        let (own, used) = (test.simulation(), &self.simulation);
+        let rates = [
+            ("sample_rate_hz", own.sample_rate_hz != used.sample_rate_hz),
+            ("actuation_seconds", own.actuation_seconds != used.actuation_seconds),
+        ];
+        let has_other =
+            |(key, own): &(&String, &Setting)| used.world.get(*key).is_some_and(|used| used != *own);
+        let settings = own.world.iter().filter(has_other).map(|(key, _)| key.as_str());
+        let others = rates.into_iter().filter(|(_, differs)| *differs).map(|(key, _)| key).chain(settings);
+        match others.into_iter().find(|key| !sets(tree, key)) {
+            Some(key) => Err(validate::Fault::between_worlds(key, first, &test, TEST_WORLD)),
+            None => Ok(()),
+        }
     }
 
     /// Makes specs with the same meaning equal: sorts the modalities, makes the default weights, channels and gap

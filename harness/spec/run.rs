@@ -227,6 +227,23 @@ impl RunSpec {
         Some(Simulation { seed: *seed, episodes: *episodes, factors, test: true, ..own })
     }
 
+    /// Returns the world of the test, if it is not that of the run.
+    pub fn other_world(&self) -> Option<&Origin> {
+        self.test.as_ref()?.world.as_ref()
+    }
+
+    /// Returns the world of the test, or the imported dataset of the run.
+    pub fn tested_in(&self) -> &Origin {
+        self.other_world().unwrap_or(&self.scenario)
+    }
+
+    /// Returns what names the data of a run on a dataset, whose test has the dataset `test`, in hashes. In the world of
+    /// the run, the settings and the run's own dataset determine that of the test.
+    pub fn data(&self, dataset: &str, test: Option<&str>) -> String {
+        let other = test.filter(|_| self.other_world().is_some());
+        other.map_or_else(|| dataset.to_owned(), |test| format!("{dataset} {test}"))
+    }
+
     /// Returns the size of the latent state; `None` for an external model.
     pub fn latent(&self) -> Option<usize> {
         self.trained().map(|trained| trained.latent)
@@ -244,7 +261,8 @@ impl RunSpec {
     }
 
     /// Returns the hash of what the run asks of a model, whichever it is: the first 16 hexadecimal digits of the
-    /// SHA-256 of the dataset's name, the split, the inputs, the outputs, the action and the window.
+    /// SHA-256 of the name of the data (see [`RunSpec::data`]), the split, the inputs, the outputs, the action and the
+    /// window.
     pub fn task_hash(&self, dataset: &str) -> String {
         let task = Self { scaling: Scalings::new(), ..self.external("", "", 0) };
         digits(&format!("{} {dataset}", task.hash()))

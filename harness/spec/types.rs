@@ -401,8 +401,8 @@ impl Network {
 }
 
 /// The dataset on which runs are tested. Its episodes are simulated like those that a run is trained on, with the same
-/// settings except their number, seed and factors, but from random streams of their own. Equal seeds therefore give other
-/// motions. The test of an imported dataset is another imported dataset. The dataset of the run is divided into training
+/// settings except their number, seed, factors and world, but from random streams of their own. Equal seeds therefore give
+/// other motions. The test of an imported dataset is another imported dataset. The dataset of the run is divided into training
 /// and validation only, and `split.test` has no effect.
 #[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -419,6 +419,11 @@ pub struct TestDataset {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(schema_with = "factors_schema")]
     pub factors: Option<Vec<String>>,
+    /// The world in which the episodes are simulated, if it is not that of the run: the name of a built-in world, or the
+    /// path of a world file. Both worlds must define what the run uses in the same way: its modalities and its action.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Origin")]
+    pub world: Option<Origin>,
     /// Name of the imported dataset with the test episodes, of which all are used, for runs on imported datasets. It
     /// must have the same modalities and sample rate as these.
     #[schemars(regex(pattern = IMPORTED_NAME))]

@@ -36,13 +36,13 @@ pub(super) struct Fault {
 
 impl Fault {
     /// Creates the fault of a setting that the spec leaves out, and for which two worlds have different defaults. The
-    /// other world is the scenario with this index.
-    pub fn between_worlds(key: &str, one: &World, other: &World, index: usize) -> Self {
+    /// other world was named at `path`.
+    pub fn between_worlds(key: &str, one: &World, other: &World, path: &str) -> Self {
         let (one, other) = (one.scenario(), other.scenario());
         let message = format!(
             "the worlds {one} and {other} have different defaults for 'simulation.{key}'; give it a value"
         );
-        Self { path: format!("scenarios.{index}"), message }
+        Self { path: path.to_owned(), message }
     }
 }
 
@@ -178,11 +178,7 @@ fn tasks(tasks: &[Task]) -> Result<(), Fault> {
 /// Refuses a scenario that is not the name of a built-in world.
 fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
     for (index, origin) in experiment.scenarios.iter().enumerate() {
-        if let Origin::Simulated(scenario) = origin
-            && World::named(scenario.name()).is_none()
-        {
-            let names: Vec<&str> = World::built_in().iter().map(|world| world.scenario().name()).collect();
-            let message = unknown("scenario", scenario.name(), "scenarios", &names, str::to_owned);
+        if let Some(message) = unknown_world(origin, "scenario", "scenarios") {
             return fault(
                 format!("scenarios.{index}"),
                 message + ", the path of a world file, or the name of an imported dataset",
@@ -190,6 +186,14 @@ fn scenarios(experiment: &Experiment) -> Result<(), Fault> {
         }
     }
     Ok(())
+}
+
+/// The message about a name of no built-in world, which is a `kind` of thing in the setting `key`.
+fn unknown_world(origin: &Origin, kind: &str, key: &str) -> Option<String> {
+    let Origin::Simulated(scenario) = origin else { return None };
+    let names: Vec<&str> = World::built_in().iter().map(|world| world.scenario().name()).collect();
+    let is_known = names.contains(&scenario.name());
+    (!is_known).then(|| unknown(kind, scenario.name(), key, &names, str::to_owned))
 }
 
 /// Refuses a modality that one of the worlds does not declare. The modalities of an imported dataset are checked when
@@ -220,8 +224,21 @@ fn modalities(experiment: &Experiment) -> Result<(), Fault> {
 fn given(experiment: &Experiment) -> Result<(), Fault> {
     let Experiment { given, input, inputs, training, .. } = experiment;
     let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
+    let has_input = |axis: &Json| {
+        axis.as_object().is_some_and(|labels| labels.values().any(|one| one.get("input").is_some()))
+    };
+    let is_varied = experiment.vary.iter().any(|(key, axis)| key == "input" || has_input(axis));
+    let remedy = |key: &str| match is_varied {
+        true => {
+            format!(
+                "; 'vary' changes the input, so give {key} to the labels of an axis, each with its own input"
+            )
+        }
+        false => String::new(),
+    };
     let no_input = |path: String, modality: &Modality| {
-        fault(path, unknown("input", modality.name(), "", &names, str::to_owned))
+        let key = if path.starts_with("given") { "given" } else { "training.modality_dropout" };
+        fault(path, unknown("input", modality.name(), "", &names, str::to_owned) + &remedy(key))
     };
     disturbances("inputs", experiment, inputs)?;
     for (index, given) in given.iter().enumerate() {
@@ -255,7 +272,7 @@ fn given(experiment: &Experiment) -> Result<(), Fault> {
                 if inputs.is_empty() || input.iter().all(|modality| inputs.contains(modality)) {
                     let problem =
                         "name at least one input, and not all of them, because a network needs an input";
-                    return fault(format!("{path}.{index}.inputs"), problem);
+                    return fault(format!("{path}.{index}.inputs"), problem.to_owned() + &remedy(path));
                 }
             }
             // 0.7 + 0.2 + 0.1 is a little less than 1.
@@ -887,8 +904,12 @@ fn test_dataset(experiment: &Experiment, test: &TestDataset) -> Result<(), Fault
             "the episodes of an imported dataset are as they are; leave out test.factors",
         );
     }
+    if let Some(world) = &test.world {
+        test_world(experiment, test, world)?;
+    }
     for (index, name) in test.factors.iter().flatten().enumerate() {
-        for world in scenarios.iter().filter_map(|origin| experiment.world(origin)) {
+        let simulated_in = test.world.as_ref().map_or(&scenarios[..], std::slice::from_ref);
+        for world in simulated_in.iter().filter_map(|origin| experiment.world(origin)) {
             let names: Vec<&str> = world.file().factors.iter().map(|(name, _)| name).collect();
             if !names.contains(&name.as_str()) {
                 let message = unknown("factor", name, "test.factors", &names, str::to_owned);
@@ -909,6 +930,38 @@ fn test_dataset(experiment: &Experiment, test: &TestDataset) -> Result<(), Fault
         );
     }
     Ok(())
+}
+
+/// Refuses a world of the test that is none, or that lacks a modality of the runs.
+fn test_world(experiment: &Experiment, test: &TestDataset, origin: &Origin) -> Result<(), Fault> {
+    let path = "test.world";
+    if test.dataset.is_some() {
+        return fault(path, "the episodes of an imported dataset are in no world; leave out test.world");
+    }
+    if let Some(message) = unknown_world(origin, "world", path) {
+        return fault(path, message + ", or the path of a world file");
+    }
+    let Some(world) = experiment.world(origin) else {
+        let message = format!(
+            "'{origin}' is an imported dataset; name a built-in world, or the path of a world file. The test of runs \
+             on imported datasets is test.dataset"
+        );
+        return fault(path, message);
+    };
+    let Experiment { input, output, probes, .. } = experiment;
+    let names: Vec<&str> = world.modalities().map(Modality::name).collect();
+    let is_missing = |modality: &&Modality| !names.contains(&modality.name());
+    match input.iter().chain(output).chain(probes).find(is_missing) {
+        Some(missing) => fault(
+            path,
+            format!(
+                "the world {} has no '{missing}', which the runs use; its modalities are {}",
+                world.scenario(),
+                names.join(", ")
+            ),
+        ),
+        None => Ok(()),
+    }
 }
 
 /// Refuses a search whose trials can't be drawn or compared.

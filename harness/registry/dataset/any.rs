@@ -112,8 +112,9 @@ impl AnyDataset {
         self.load_with_test(None, frames, progress)
     }
 
-    /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one.
-    /// Both must have the same modalities. If their factors of variation differ, the samples have none.
+    /// Reads the whole dataset into memory, and after it the dataset of its own that the test has, if there is one. Of
+    /// simulated datasets, the samples have the modalities that both define in the same way. Imported ones must have
+    /// the same modalities.
     ///
     /// # Errors
     /// See [`AnyDataset::load`].
@@ -124,13 +125,15 @@ impl AnyDataset {
         progress: &dyn Progress,
     ) -> Result<Samples, DatasetError> {
         let all = self.len() + test.map_or(0, Self::len);
-        let factors = |dataset: &Self| dataset.layout().get(Modality::FACTORS).cloned();
-        let layout = match test {
-            Some(test) if factors(test) != factors(self) => Arc::new(self.layout().without_factors()),
+        let layout = match (self, test) {
+            (Self::Simulated(own), Some(Self::Simulated(test))) if own.layout() != test.layout() => {
+                Arc::new(own.layout().shared_with(test.layout()))
+            }
             _ => self.layout().clone(),
         };
-        let mut samples = Samples::new(self.recording(), layout, all, frames, self.folder())?;
+        let mut samples = Samples::new(self.recording(), layout.clone(), all, frames, self.folder())?;
         let push = |dataset: &Self, samples: &mut Samples| {
+            let dataset = dataset.with_modalities_of(&layout);
             let read = |index: u32| dataset.read(index, frames != FramePlace::Nowhere);
             push_all(samples, dataset.episodes(), read, progress)
         };
@@ -151,10 +154,33 @@ impl AnyDataset {
         })
     }
 
-    /// Says in what the samples of another dataset differ from those of this one; `None` if networks can't tell.
-    pub fn difference(&self, other: &Self) -> Option<String> {
+    /// The dataset, from which these modalities alone are read if it was simulated.
+    fn with_modalities_of(&self, layout: &Arc<Layout>) -> Self {
+        match self {
+            Self::Simulated(dataset) => Self::Simulated(dataset.with_modalities_of(layout)),
+            Self::Imported(_) => self.clone(),
+        }
+    }
+
+    /// Says in what the samples of another dataset differ from those of this one; `None` if networks that use these
+    /// modalities can't tell. All modalities of imported datasets must be alike.
+    pub fn difference(&self, other: &Self, used: &[Modality]) -> Option<String> {
+        let is_simulated = matches!(self, Self::Simulated(_));
+        let is_source = |name| {
+            self.layout()
+                .modalities
+                .iter()
+                .any(|of| used.contains(&of.name) && of.difference_of == Some(name))
+        };
+        let is_used = |name: Modality| {
+            !is_simulated || name == Modality::SETPOINT || used.contains(&name) || is_source(name)
+        };
         // No network gets the factors.
-        let [here, there] = [self, other].map(|dataset| dataset.layout().without_factors());
+        let [here, there] = [self, other].map(|dataset| {
+            let mut layout = dataset.layout().without_factors();
+            layout.modalities.retain(|definition| is_used(definition.name));
+            layout
+        });
         let name = other.name();
         if let Some(missing) = here.names().find(|modality| there.get(*modality).is_none()) {
             return Some(format!("{name} has no {missing}"));
@@ -166,12 +192,17 @@ impl AnyDataset {
         if own != others {
             return Some(format!("{name} has {others} samples per second instead of {own}"));
         }
+        let plain = |of: &Definition| Definition { meaning: String::new(), ..of.clone() };
         let differs = |definition: &&Definition| {
-            let plain = |of: &Definition| Definition { meaning: String::new(), ..of.clone() };
-            plain(definition) != plain(&there[definition.name])
+            there.get(definition.name).is_none_or(|other| match is_simulated {
+                true => !definition.is_like(other),
+                false => plain(definition) != plain(other),
+            })
         };
         let definition = here.modalities.iter().find(differs)?;
-        let other = &there[definition.name];
+        let Some(other) = there.get(definition.name) else {
+            return Some(format!("{name} has no action, whose setpoints are {}", definition.name));
+        };
         let elements = definition.elements().iter().zip(other.elements());
         let element = elements.enumerate().find(|(_, (own, others))| own != others);
         Some(match (definition.width() == other.width(), element) {

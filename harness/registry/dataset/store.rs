@@ -124,6 +124,11 @@ impl Dataset {
         self.len() == 0
     }
 
+    /// The dataset, from which these modalities alone are read.
+    pub(super) fn with_modalities_of(&self, layout: &Arc<Layout>) -> Self {
+        Self { layout: layout.clone(), ..self.clone() }
+    }
+
     /// Returns the settings of the simulation.
     pub fn spec(&self) -> &Simulation {
         &self.spec

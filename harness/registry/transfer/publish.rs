@@ -1,7 +1,8 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
 use super::{Busy, Removable, remove};
-use crate::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network};
+use crate::record::Worlds;
+use crate::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, forces_of, is_network};
 use harness_shared::progress::Progress;
 use harness_tables::TableError;
 use harness_tables::schema::Table;
@@ -133,7 +134,7 @@ pub fn publish<'a>(
 
 /// Whether two runs are of the same cell and seed.
 fn is_same(a: &RunRecord, b: &RunRecord) -> bool {
-    (&a.experiment, a.spec.label(), a.world()) == (&b.experiment, b.spec.label(), b.world())
+    (&a.experiment, a.spec.label(), a.worlds()) == (&b.experiment, b.spec.label(), b.worlds())
 }
 
 /// Of which runs single samples are kept.
@@ -206,9 +207,9 @@ fn seeds(record: &RunRecord) -> (u64, u64) {
     (record.spec.dataset_seed(), record.spec.seed)
 }
 
-/// An experiment, the name of one of its cells, and the world of the cell's runs.
-type Cell = (String, String, WorldOf);
+/// An experiment, the name of one of its cells, and the worlds of the cell's runs.
+type Cell = (String, String, Worlds);
 
 fn cell(record: &RunRecord) -> Cell {
-    (record.experiment.clone(), record.spec.cell(), record.world())
+    (record.experiment.clone(), record.spec.cell(), record.worlds())
 }

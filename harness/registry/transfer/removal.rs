@@ -1,7 +1,8 @@
 //! The removal of runs and datasets.
 
 use crate::dataset::Dataset;
-use crate::{Outdated, Registry, RegistryError, RunRecord, Status, WorldOf};
+use crate::record::Worlds;
+use crate::{Outdated, Registry, RegistryError, RunRecord, Status};
 use harness_shared::files::{ANOTHER, FolderLock, UNFINISHED, abandoned, folders, remove_abandoned};
 use harness_spec::QUICK;
 use std::collections::{BTreeMap, BTreeSet};
@@ -154,10 +155,10 @@ fn remove_empty(registry: &Registry, folder: &Path) {
 /// changed since supersedes none that counts.
 fn superseded<'a>(records: impl Iterator<Item = &'a RunRecord>, outdated: &Outdated) -> BTreeSet<String> {
     let place = |record: &'a RunRecord| (!outdated.has(record), record.started.as_str());
-    let mut kept: BTreeMap<(&str, &str, WorldOf), &RunRecord> = BTreeMap::new();
+    let mut kept: BTreeMap<(&str, &str, Worlds), &RunRecord> = BTreeMap::new();
     let mut superseded = BTreeSet::new();
     for record in records.filter(|record| record.status == Status::Done) {
-        let key = (record.experiment.as_str(), record.spec_hash.as_str(), record.world());
+        let key = (record.experiment.as_str(), record.spec_hash.as_str(), record.worlds());
         let other = match kept.get(&key) {
             Some(other) if place(other) > place(record) => Some(record),
             _ => kept.insert(key, record),

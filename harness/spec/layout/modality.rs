@@ -326,6 +326,18 @@ impl Definition {
         units
     }
 
+    /// Returns whether another definition is of the same values, so that a network can't tell. The contacts of a force
+    /// may be of other kinds. Its least predicted value is a setting of the run.
+    pub fn is_like(&self, other: &Self) -> bool {
+        let plain = |of: &Self| Self {
+            meaning: String::new(),
+            contact_kinds: Vec::new(),
+            minimum: None,
+            ..of.clone()
+        };
+        plain(self) == plain(other)
+    }
+
     /// Returns whether the values are sensed forces: a vector in N. The table `forces` holds their distribution.
     pub fn is_force(&self) -> bool {
         self.name.is_sensed() && !self.is_image() && self.unit() == Some("N")
@@ -431,6 +443,23 @@ impl Layout {
         let mut layout = self.clone();
         let meaning = "What the episode drew for factor";
         layout.modalities.push(Definition::vector(Modality::FACTORS, meaning, elements));
+        layout
+    }
+
+    /// Returns the modalities of another layout that are like those of this one, as the other one defines them. The kinds
+    /// of contact of a force are those of the other layout.
+    pub fn shared_with(&self, other: &Self) -> Self {
+        let mut layout = other.clone();
+        let is_like =
+            |definition: &Definition| self.get(definition.name).is_some_and(|own| own.is_like(definition));
+        layout.modalities.retain(is_like);
+        let names: Vec<Modality> = layout.modalities.iter().map(|definition| definition.name).collect();
+        layout.modalities.retain(|definition| definition.difference_of.is_none_or(|of| names.contains(&of)));
+        for definition in &mut layout.modalities {
+            if definition.contact_kind().is_some_and(|kind| !names.contains(&kind)) {
+                definition.contact_kinds.clear();
+            }
+        }
         layout
     }
 

@@ -187,8 +187,9 @@ impl Check<'_> {
 
     fn items(&self, schema: &Json, items: &[Node], path: &str) -> Result<(), Problem> {
         let mut earlier = HashSet::new();
-        for item in items {
-            self.node(&schema["items"], item, path)?;
+        for (index, item) in items.iter().enumerate() {
+            let number = (items.len() > 1).then_some(index + 1);
+            self.node(&schema["items"], item, path).map_err(|problem| problem.in_items(number.as_slice()))?;
             let value = item.to_json().to_string();
             if schema["uniqueItems"] == true && !earlier.insert(value.clone()) {
                 return Err(Problem::new(&item.place, format!("{value} is in '{path}' twice")));

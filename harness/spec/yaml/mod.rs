@@ -77,6 +77,16 @@ impl Problem {
         Self { place: place.clone(), message: message.into() }
     }
 
+    /// Says which items of lists have the problem, the outer one first, counted from 1. A place in a file says so already.
+    #[must_use]
+    pub fn in_items(mut self, items: &[usize]) -> Self {
+        if matches!(self.place, Place::Override(_)) {
+            let items: String = items.iter().map(|item| format!("item {item}: ")).collect();
+            self.message.insert_str(0, &items);
+        }
+        self
+    }
+
     /// Adds `what` was done to the file before the problem appeared. A problem in an override says so already.
     #[must_use]
     pub fn after(mut self, what: &str) -> Self {

@@ -67,14 +67,32 @@ impl Node {
     /// Returns where the value at a dotted path was written. If it is missing, returns the place of the innermost
     /// section around it. A number in the path is an index into a list. A key may contain dots.
     pub fn place_of(&self, path: &str) -> &Place {
+        match self.below(path) {
+            Some((child, rest)) => child.place_of(rest),
+            None => &self.place,
+        }
+    }
+
+    /// Returns the numbers, counted from 1, of the items that a dotted path leads through in lists of several items.
+    pub fn items_on(&self, path: &str) -> Vec<usize> {
+        let Some((child, rest)) = self.below(path) else { return Vec::new() };
+        let own = match &self.value {
+            Value::List(items) if items.len() > 1 => items.iter().position(|item| std::ptr::eq(item, child)),
+            _ => None,
+        };
+        own.map(|index| index + 1).into_iter().chain(child.items_on(rest)).collect()
+    }
+
+    /// Returns the part of this value to which a dotted path leads first, and the rest of the path.
+    fn below<'a>(&self, path: &'a str) -> Option<(&Node, &'a str)> {
         if path.is_empty() {
-            return &self.place;
+            return None;
         }
         let below = |key: &str| match path.strip_prefix(key)? {
             "" => Some(""),
             rest => rest.strip_prefix('.'),
         };
-        let child = match &self.value {
+        match &self.value {
             Value::List(items) => {
                 let (index, rest) = path.split_once('.').unwrap_or((path, ""));
                 index.parse().ok().and_then(|index: usize| Some((items.get(index)?, rest)))
@@ -83,8 +101,7 @@ impl Node {
                 entries.iter().find_map(|entry| Some((&entry.node, below(&entry.key)?)))
             }
             _ => None,
-        };
-        child.map_or(&self.place, |(child, rest)| child.place_of(rest))
+        }
     }
 
     /// Returns the value with `place` as the place of all its parts.
