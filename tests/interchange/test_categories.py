@@ -1,5 +1,6 @@
 """Categories: labels and columns as inputs and outputs of networks, compared with scikit-learn and ONNX Runtime."""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -101,6 +102,46 @@ def test_wrong_categories_are_refused(tmp_path, modalities, message):
     with pytest.raises(MappingError, match=message):
         touched(tmp_path, modalities)
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("kind", ["rows", "streams", "arrays"])
+def test_categories_are_texts_or_numbers_in_any_format_and_may_be_missing(tmp_path, kind):
+    random = np.random.default_rng(0)
+    number, x = random.choice([-1.0, 2.0, 7.0], (3, 30)), random.normal(size=(3, 30))
+    text = np.where(number < 0, "open", np.where(number < 5, "closing", "closed"))
+    now = {"state": {"categories": STATES}, "number": {"categories": [-1, 2, 7]}}
+    mapping = {"name": "kinds", "source": ".", "sample_rate_hz": 10}
+    if kind == "rows":
+        trial, row = np.repeat([0, 1, 2], 30), np.tile(np.arange(30), 3)
+        columns = {"trial": trial, "row": row, "x": x.ravel(), "state": text.ravel(), "number": number.ravel()}
+        pl.DataFrame(columns).cast({"number": pl.Int32}).write_parquet(tmp_path / "all.parquet")
+        mapping |= {"format": "parquet", "source": "all.parquet", "episode": "trial", "order": "row"}
+    elif kind == "streams":
+        for trial in range(3):
+            columns = {"x": x[trial], "state": text[trial], "number": number[trial], "t": np.arange(30) / 10}
+            table = pl.DataFrame(columns).cast({"state": pl.String, "number": pl.String})
+            missing = pl.DataFrame({"x": [0.0] * 3, "state": ["?", "open", None], "number": ["2", "-9", "2"]})
+            missing = missing.with_columns(t=pl.Series([0.01, 0.02, 0.03]))
+            pl.concat([table[:1], missing, table[1:]]).write_csv(tmp_path / f"{trial}.csv")
+        stream = {"file": "*.csv", "time": "t", "missing": "skip", "missing_values": ["?", -9]}
+        mapping |= {"format": "csv", "max_gap_s": 1, "align": "mean", "streams": {"log": stream}}
+    else:
+        for trial in range(3):
+            np.savez(tmp_path / f"{trial}.npz", x=x[trial], state=text[trial], number=number[trial])
+        mapping |= {"format": "numpy", "max_gap_s": 1, "streams": {"log": {"data": "/", "rate_hz": 10}}}
+    place = "" if kind == "rows" else "log."
+    modalities = {name: {"from": f"{place}{name}"} | keys for name, keys in now.items()}
+    mapping["modalities"] = {"setpoint": "none", "x": f"{place}x"} | modalities
+    (tmp_path / "kinds.yaml").write_text(json.dumps(mapping))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import_dataset(tmp_path / "kinds.yaml", tmp_path / "results", progress=False)
+    columns = [*(f"state_{name}" for name in STATES), "number_1", "number_2", "number_7"]
+    rows = harness.query(f"select {', '.join(columns)} from episodes order by episode, sample", tmp_path / "results")
+    elements = rows.to_numpy().reshape(3, 30, 2, 3)
+    assert (elements.sum(3) == 1).all()
+    assert (np.array(STATES)[elements[:, :, 0].argmax(2)] == text).all()
+    assert (np.array([-1, 2, 7])[elements[:, :, 1].argmax(2)] == number).all()
 
 
 def test_metrics_and_the_confusion_are_those_of_scikit_learn(tmp_path):
@@ -217,6 +258,9 @@ def test_exported_networks_give_the_same_probabilities(tmp_path, memory):
         width = next(each.shape[1] for each in session.get_inputs() if each.name == "state")
         state = np.zeros((1, width), np.float32)
     names = [each.name for each in session.get_outputs()]
+    has_torch = importlib.util.find_spec("torch")
+    network = harness.load_network(f"hand/{run_name}", results) if has_torch else None
+    of_network = None
     for row in range(sample - context, sample):
         at = values.slice(row, 1)
         columns = {"touch": ["touch_left", "touch_right"], "object": [f"object_{each}" for each in NAMES]}
@@ -224,6 +268,12 @@ def test_exported_networks_give_the_same_probabilities(tmp_path, memory):
         given |= {} if memory == "none" else {"state": state, "seen": seen}
         answer = dict(zip(names, session.run(names, given), strict=True))
         state = answer.get("state.next", state)
+        if network is not None and memory != "none":
+            seen_by_network = {name: given[name] for name in columns}
+            of_network = network.act(network.observe(of_network, seen_by_network))
+    if network is not None:
+        found = network(given) if memory == "none" else network.predict(of_network)
+        np.testing.assert_allclose(found["state"].detach().numpy(), answer["predicted.state"], atol=1e-5)
     np.testing.assert_allclose(answer["predicted.state"][0], expected[episode, sample], atol=1e-5)
     assert answer["predicted.state"].sum() == pytest.approx(1, abs=1e-5)
     assert stored.keys() == ["touch", "state", "object"]

@@ -71,8 +71,9 @@ class Categories:
                 )
         return cls(tuple(texts), tuple(names))
 
-    def numbers(self, values: Any, at: Callable[[int], str]) -> np.ndarray:
-        """Returns the numbers of the values' categories, from 0, float64 [rows]. That of a missing value is NaN.
+    def numbers(self, values: Any, at: Callable[[int], str], missing: Iterable[float] = ()) -> np.ndarray:
+        """Returns the numbers of the values' categories, from 0, float64 [rows]. That of a missing value is NaN, and so
+        are those of the numbers that stand for one.
 
         Raises:
             CategoryError: a row has several values, or one that is no category. `at` returns the place of a row.
@@ -80,7 +81,8 @@ class Categories:
         if isinstance(values, np.ndarray) and values.size != len(values):
             raise CategoryError(f"categories are from one value of each row, which has {values.size // len(values)}")
         flat = values.reshape(-1).tolist() if isinstance(values, np.ndarray) else list(values)
-        known = {text: float(number) for number, text in enumerate(self.texts)} | {"": math.nan}
+        known = {text: float(number) for number, text in enumerate(self.texts)}
+        known |= dict.fromkeys(["", *map(text_of, missing)], math.nan)
         numbers = np.empty(len(flat))
         for row, value in enumerate(flat):
             number = known.get(text_of(value))

@@ -187,15 +187,18 @@ class Selection:
                 f"{at(int(wrong[0]))}: is no quaternion: its length is {length[wrong[0]]:.3g} instead of 1"
             )
 
-    def numbers_of_categories(self, values: Any, at: Callable[[int], str]) -> np.ndarray:
-        """Returns the numbers of the categories of a column's values, float64 [rows]; NaN for a missing value.
+    def numbers_of_categories(
+        self, values: Any, at: Callable[[int], str], missing: tuple[float, ...] = ()
+    ) -> np.ndarray:
+        """Returns the numbers of the categories of a column's values, float64 [rows]; NaN for a missing value, and for
+        a number that stands for one.
 
         Raises:
             MappingError: a value is none of the categories.
         """
         assert self.categories
         try:
-            return self.categories.numbers(values, at)
+            return self.categories.numbers(values, at, missing)
         except CategoryError as error:
             raise self.error(str(error)) from None
 

@@ -119,9 +119,8 @@ class Coded(Stream):
         if column not in self._selections:
             return self.whole.read(column, first, last)
         values = self.whole.values(column, first, last)
-        if isinstance(values, np.ndarray) and self._missing:
-            values = np.where(np.isin(values, self._missing), np.nan, values)
-        return self._selections[column].numbers_of_categories(values, lambda row: self.whole.at(first + row))
+        at = self.whole.at
+        return self._selections[column].numbers_of_categories(values, lambda row: at(first + row), self._missing)
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         return self.whole.pictures(column, rows)
