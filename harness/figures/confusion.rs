@@ -93,5 +93,5 @@ fn fitted(name: &str) -> String {
         return name;
     }
     let ends = name.char_indices().map(|(end, _)| format!("{}…", &name[..end]));
-    ends.filter(|short| fits(short)).last().unwrap_or_default()
+    ends.rev().find(|short| fits(short)).unwrap_or_default()
 }
