@@ -227,7 +227,7 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
         ),
         (
             csv("  x: {from: log.x, categories: [a]}"),
-            "m.yaml:9:32: 'modalities.x.categories': expected a list of 2 ",
+            "m.yaml:9:32: 'modalities.x.categories': expected a list of at least 2 items",
         ),
         (
             csv("  x: {from: log.x, categories: [a, a]}"),
