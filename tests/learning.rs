@@ -39,6 +39,8 @@ use walks::{walks, walks_of};
 
 #[path = "learning/additions.rs"]
 mod additions;
+#[path = "learning/categories.rs"]
+mod categories;
 #[path = "learning/changes.rs"]
 mod changes;
 #[path = "learning/disturbed.rs"]

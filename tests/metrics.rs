@@ -247,6 +247,113 @@ fn evaluation_agrees_with_scikit_learn() {
     }
 }
 
+/// The definition of some categories.
+fn of_objects(names: &[&str]) -> Definition {
+    let elements = names.iter().map(|name| Element { name: (*name).to_owned(), unit: String::new() });
+    let name = Modality::new("object").unwrap();
+    Definition { category: true, ..Definition::vector(name, "", elements.collect()) }
+}
+
+/// The rows of samples with these categories and predicted probabilities.
+fn judged(definition: &Definition, categories: &[usize], probabilities: &[f32]) -> Vec<Row> {
+    let width = definition.width();
+    let elements = |category: usize| (0..width).map(move |place| f32::from(u8::from(place == category)));
+    let reference: Vec<f32> = categories.iter().copied().flat_map(elements).collect();
+    evaluate(definition, &reference, probabilities).unwrap()
+}
+
+#[test]
+fn metrics_of_categories_are_those_of_hand_worked_counts() {
+    // Two of three balls, and one of two books, are predicted right. Equal probabilities are those of the first one.
+    let definition = of_objects(&["ball", "book", "cup"]);
+    let probabilities = [0.5, 0.25, 0.25, 0.4, 0.4, 0.2, 0.25, 0.5, 0.25, 0.25, 0.5, 0.25, 0.25, 0.25, 0.5];
+    let rows = judged(&definition, &[0, 0, 0, 1, 1], &probabilities);
+    let whole = |metric| find(&rows, metric, None, None).value;
+    assert_close(whole(Metric::Accuracy), 3.0 / 5.0);
+    assert_close(whole(Metric::BalancedAccuracy), (2.0 / 3.0 + 1.0 / 2.0) / 2.0);
+    let log_loss = -[0.5f64, f64::from(0.4f32), 0.25, 0.5, 0.25].map(f64::ln).iter().sum::<f64>() / 5.0;
+    assert!((whole(Metric::LogLoss).unwrap() - log_loss).abs() < 1e-7);
+    let of = |name: &str, index: u32, metric: Metric| {
+        find(&rows, metric, Some(Direction::new(name)), Some(index)).value
+    };
+    assert_close(of("ball", 0, Metric::Accuracy), 2.0 / 3.0);
+    assert_eq!(of("cup", 2, Metric::Accuracy), None);
+    let pairs = [
+        ("ball as ball", 0, 2.0),
+        ("ball as book", 0, 1.0),
+        ("book as book", 1, 1.0),
+        ("book as cup", 1, 1.0),
+    ];
+    for (pair, index, count) in pairs {
+        assert_close(of(pair, index, Metric::Confusion), count);
+    }
+    assert_eq!(rows.iter().filter(|row| row.metric == Metric::Confusion).count(), pairs.len());
+    assert_eq!(find(&rows, Metric::LogLoss, None, None).unit, "nats");
+    assert_eq!(rows.len(), 3 + 3 + pairs.len(), "no errors of the elements");
+    // Certainty of a wrong category has a finite loss, and a regression has one too.
+    let wrong = judged(&definition, &[2], &[1.0, -0.5, -1.0]);
+    let least = f64::from(f32::EPSILON);
+    assert_close(find(&wrong, Metric::LogLoss, None, None).value, -(least / (1.0 + 2.0 * least)).ln());
+    assert!(Metric::Accuracy.higher_is_better() && !Metric::LogLoss.higher_is_better());
+    assert!(!Metric::Confusion.is_judgment());
+    assert_eq!(Metric::named("accuracy_from_2s"), Some(Metric::Accuracy.in_region("from_2s")));
+}
+
+#[test]
+fn metrics_of_categories_agree_with_scikit_learn() {
+    const NAMES: [&str; 5] = ["a", "b", "c", "d", "e"];
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let definition = of_objects(&NAMES);
+    // The last category is never there. Some probabilities are 0.
+    let categories: Vec<usize> = (0..400).map(|_| rng.random_range(0..4)).collect();
+    let mut probabilities = Vec::new();
+    for category in &categories {
+        let mut row: [f32; 5] = std::array::from_fn(|_| f32::max(rng.random_range(-0.1..1.0), 0.0));
+        row[*category] += 0.3;
+        let sum: f32 = row.iter().sum();
+        probabilities.extend(row.map(|value| value / sum));
+    }
+    let rows = judged(&definition, &categories, &probabilities);
+    let request = json!({ "category": categories, "probabilities": nested(&probabilities, 5, 0..5) });
+    let expected = &python(&json!({ "categories": request }))["categories"];
+    for metric in [Metric::Accuracy, Metric::BalancedAccuracy, Metric::LogLoss] {
+        let found = find(&rows, metric, None, None).value.unwrap();
+        assert!((found - expected[metric.name()].as_f64().unwrap()).abs() < 1e-6, "{metric:?} {found}");
+    }
+    for (index, name) in NAMES.iter().enumerate() {
+        for (place, predicted) in NAMES.iter().enumerate() {
+            let pair = Direction::new(&format!("{name} as {predicted}"));
+            let is_it = |row: &&Row| row.metric == Metric::Confusion && row.direction == Some(pair);
+            let count = rows.iter().find(is_it).map_or(0.0, |row| row.value.unwrap());
+            assert_eq!(count, expected["confusion"][index][place].as_f64().unwrap(), "{name} as {predicted}");
+        }
+    }
+}
+
+#[test]
+fn sums_of_episodes_give_the_accuracy_and_the_log_loss_of_the_test() {
+    let definition = of_objects(&["ball", "book"]);
+    let mut evaluation = Evaluation::new(&definition, &[]);
+    // An episode may come in parts.
+    for (episode, category, share) in [(4, 0, 0.75), (4, 0, 0.25), (7, 1, 0.25)] {
+        let reference = [f32::from(u8::from(category == 0)), f32::from(u8::from(category == 1))];
+        evaluation.add(&reference, &[share, 1.0 - share]).unwrap();
+        evaluation.end_episode(episode);
+    }
+    let sums = evaluation.sums();
+    let of = |metric: Metric| -> Vec<(u32, [f64; 2])> {
+        let own = sums.iter().filter(|row| row.metric == metric);
+        own.map(|row| (row.episode, [row.numerator, row.denominator])).collect()
+    };
+    assert_eq!(of(Metric::Accuracy), [(4, [1.0, 2.0]), (7, [1.0, 1.0])]);
+    let losses = of(Metric::LogLoss);
+    assert_close(losses[0].1[0], -(0.75f64.ln() + 0.25f64.ln()));
+    assert_close(losses[1].1[0], -(0.75f64.ln()));
+    let rows = evaluation.rows_of_region("from_2s");
+    let all: f64 = losses.iter().map(|(_, sums)| sums[0]).sum();
+    assert_close(find(&rows, Metric::LogLoss.in_region("from_2s"), None, None).value, all / 3.0);
+}
+
 #[test]
 fn finger_rows_name_joints_directions_and_units() {
     let (reference, predicted) = random_pairs(5, 10 * JOINTS, 0.0);

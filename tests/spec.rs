@@ -1,9 +1,9 @@
 //! Specs: which are loaded, which are refused with which message, and which runs are the same.
 
 use harness_spec::{
-    self as spec, Action, Candidates, Division, Experiment, Fusion, GivenScaling, Layout, Loss, Memory,
-    Method, Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search, Setting,
-    Simulation, Split, SplitCounts, Stop, Task, Training, Window, World, read_mapping,
+    self as spec, Action, Candidates, Definition, Division, Experiment, Fusion, GivenScaling, Layout, Loss,
+    Memory, Method, Modality, Network, Origin, Preset, Scale, Scaling, Scalings, Scenario, Schedule, Search,
+    Setting, Simulation, Split, SplitCounts, Stop, Task, Training, Window, World, read_mapping,
 };
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
@@ -2249,4 +2249,49 @@ fn specs_of_published_runs_are_stored_as_they_were() {
         }
     }
     assert!(checked > 100, "{checked}");
+}
+
+#[test]
+fn categories_refuse_settings_of_numbers() {
+    let vector = |name: &str| Definition::vector(Modality::new(name).unwrap(), "", Vec::new());
+    let modalities = vec![vector("touch"), Definition { category: true, ..vector("object") }];
+    let layout = Layout { modalities, regions: Vec::new(), labels: Vec::new() };
+    let text = "\
+name: touched
+scenarios: touched-0123456789abcdef
+input: touch
+output: [object, touch]
+latent: 2
+network: {preset: single_to_multi}
+";
+    let check = |text: &str, line: &str| load(&format!("{text}{line}\n")).runs()[0].check(&layout);
+    assert_eq!(
+        check(text, "outputs: {touch: {predict: change, loss: huber}, object: {weight: 0.1}}"),
+        Ok(())
+    );
+    let cases = [
+        (
+            "outputs: {object: {loss: huber}}",
+            "outputs.object.loss: 'object' has categories, whose loss is the ",
+        ),
+        (
+            "outputs: {object: {distribution: gaussian}}",
+            "outputs.object.distribution: 'object' has categories, whose ",
+        ),
+        (
+            "scaling: {object: {minimum: 0}}",
+            "'object' has categories, which are not scaled; leave out scaling.object",
+        ),
+    ];
+    for (line, message) in cases {
+        let error = check(text, line).unwrap_err();
+        assert!(error.starts_with(message), "{line}: {error}");
+    }
+    let both = text.replace("input: touch", "input: [touch, object]");
+    let error = check(&both, "outputs: {object: {predict: change}}").unwrap_err();
+    assert_eq!(
+        error,
+        "outputs.object.predict: 'object' has categories, which have no change; predict their value"
+    );
+    assert_eq!(check(&both, ""), Ok(()));
 }

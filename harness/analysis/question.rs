@@ -19,7 +19,15 @@ use std::fmt;
 use std::str::FromStr;
 
 /// The metrics that are answered if none is asked for.
-const USUAL: [Metric; 4] = [Metric::Smape, Metric::Wmape, Metric::R2, Metric::RelativeError];
+const USUAL: [Metric; 7] = [
+    Metric::Smape,
+    Metric::Wmape,
+    Metric::R2,
+    Metric::RelativeError,
+    Metric::Accuracy,
+    Metric::BalancedAccuracy,
+    Metric::LogLoss,
+];
 /// The metrics that are answered instead if no run has one of those. They are always defined.
 const ALWAYS_DEFINED: [Metric; 2] = [Metric::Rmse, Metric::Mae];
 
@@ -361,8 +369,9 @@ impl Analysis {
     /// # Errors
     /// When a table is damaged.
     pub fn whole_metrics(&self) -> Result<Vec<String>, QueryError> {
-        let of_harness =
-            Metric::GENERAL.into_iter().chain([Metric::Skill]).map(|metric| metric.name().to_owned());
+        let of_categories = Metric::CATEGORY.into_iter().filter(|metric| metric.is_judgment());
+        let of_harness = Metric::GENERAL.into_iter().chain([Metric::Skill]).chain(of_categories);
+        let of_harness = of_harness.map(|metric| metric.name().to_owned());
         let own: BTreeSet<String> = there(self)?.into_iter().map(|one| one.metric).collect();
         Ok(of_harness.chain(own.into_iter().filter(|name| Metric::named(name).is_none())).collect())
     }

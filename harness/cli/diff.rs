@@ -163,7 +163,8 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
     let chosen = match all {
         true => "index is null".to_owned(),
         false => format!(
-            "{OVERALL} and model not in ({}) and metric in ('smape', 'wmape', 'r2', 'relative_error')",
+            "{OVERALL} and model not in ({}) and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', \
+             'balanced_accuracy', 'log_loss')",
             baselines_in_sql()
         ),
     };

@@ -41,8 +41,8 @@ pub struct Figures {
     /// reproduction/base [default: reproduction/recommended, where there are no runs of these]
     #[arg(long, value_name = "EXPERIMENT/READING", conflicts_with_all = ["single", "multi", "experiment"])]
     reading: Option<String>,
-    /// The modality that `horizon` shows, or the part of it with one unit, for example "joints in rad" [default:
-    /// contact_force, or the first modality where it is not predicted]
+    /// The modality that `horizon` or `confusion` shows, or the part of it with one unit, for example "joints in rad"
+    /// [default: contact_force, or the first modality where it is not predicted]
     #[arg(long, value_name = "NAME")]
     of: Option<String>,
     #[command(flatten)]

@@ -65,7 +65,8 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let means: Vec<String> = std::iter::once(own).chain(models::BASELINES.map(of_baseline)).collect();
     let chosen = match metrics {
         Metrics::Main => format!(
-            "{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error', 'f1', 'crps', '{COVERAGE}')"
+            "{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', 'balanced_accuracy', \
+             'log_loss', 'f1', 'crps', '{COVERAGE}')"
         ),
         Metrics::All => "index is null".to_owned(),
     };
@@ -230,12 +231,14 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares a run with each baseline: by R2, and for images by the relative error, on the test samples.
+    /// Compares a run with each baseline on the test samples: by R2, for images by the relative error, and for
+    /// categories by the accuracy.
     pub fn all(registry: &Registry, is_run: impl Fn(&RunRecord) -> bool) -> Result<Vec<Self>> {
         let errors = format!(
             "select model, modality, coalesce(direction, '') as part, metric, \
-             case when metric = 'r2' then 1 - value else value end as error from metrics \
-             where task = 'prediction' and {OVERALL} and metric in ('r2', 'relative_error') and value is not null"
+             case when metric = 'relative_error' then value else 1 - value end as error from metrics \
+             where task = 'prediction' and {OVERALL} and metric in ('r2', 'relative_error', 'accuracy') \
+             and value is not null"
         );
         let sql = format!(
             "with errors as ({errors}) select b.model as baseline, \

@@ -8,7 +8,8 @@ use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
 use harness_shared::numbers::{counted, first_few};
 use harness_shared::progress::Silent;
 use harness_spec::{
-    Action, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task, Window,
+    Action, Definition, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task,
+    Window,
 };
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::{BTreeMap, BTreeSet};
@@ -79,8 +80,8 @@ fn lengths(samples: &Samples) -> Vec<usize> {
 }
 
 /// Returns what may be wrong with a recording as the data of a run, in sentences: a setpoint that tells an output, a test
-/// beyond the range of the training, groups that the training lacks, labels that training and test share and that decide
-/// the values, a single trial, and episodes that are left out.
+/// beyond the range of the training or with other categories, groups that the training lacks, labels that training and
+/// test share and that decide the values, a single trial, and episodes that are left out.
 ///
 /// # Errors
 /// When a value is not finite.
@@ -128,8 +129,12 @@ pub(super) fn notes(
 /// Says how much of the test is beyond the range of the training.
 fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) -> Option<String> {
     let width = samples.layout()[modality].width();
-    if samples.layout()[modality].is_image() {
+    let definition = &samples.layout()[modality];
+    if definition.is_image() {
         return None;
+    }
+    if definition.category {
+        return missing_categories(samples, definition, partition);
     }
     let mut ranges = vec![(f32::INFINITY, f32::NEG_INFINITY); width];
     for sample in &partition.training {
@@ -147,6 +152,29 @@ fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) ->
         format!(
             "{modality} is beyond its range in the training in {:.0} % of the test samples, where no model has learned",
             100.0 * share
+        )
+    })
+}
+
+/// Says which categories are in the test only.
+fn missing_categories(samples: &Samples, definition: &Definition, partition: &Partition) -> Option<String> {
+    let in_part = |part: &[Sample]| {
+        let mut there = vec![false; definition.width()];
+        for sample in part {
+            let values = samples.vector(definition.name, *sample);
+            there.iter_mut().zip(values).for_each(|(there, value)| *there |= *value != 0.0);
+        }
+        there
+    };
+    let (training, test) = (in_part(&partition.training), in_part(&partition.test));
+    let elements = definition.elements().iter().zip(training.iter().zip(&test));
+    let missing = elements.filter(|(_, (known, tested))| !**known && **tested);
+    let missing: Vec<&str> = missing.map(|(element, _)| element.name.as_str()).collect();
+    (!missing.is_empty()).then(|| {
+        format!(
+            "{}: the training has no {}, which the test has, so no model can learn to predict it",
+            definition.name,
+            first_few(&missing, NAMES_SHOWN)
         )
     })
 }
@@ -184,8 +212,12 @@ fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
 /// training and test share. A model may use that, and the test does not show what happens with another value.
 fn shared_labels(samples: &Samples, used: &[Modality], split: &Split) -> Vec<String> {
     let (labels, lengths) = (samples.labels(), lengths(samples));
-    let vectors: Vec<Modality> =
-        used.iter().copied().filter(|modality| !samples.layout()[*modality].is_image()).collect();
+    // A category follows from a label by itself.
+    let is_measured = |modality: &Modality| {
+        let definition = &samples.layout()[*modality];
+        !definition.is_image() && !definition.category
+    };
+    let vectors: Vec<Modality> = used.iter().copied().filter(is_measured).collect();
     let means: Vec<(Modality, Vec<Vec<f64>>)> =
         vectors.into_iter().map(|modality| (modality, episode_means(samples, modality))).collect();
     let elements: usize = means.iter().map(|(_, elements)| elements.len()).sum();

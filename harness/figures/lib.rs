@@ -1,4 +1,5 @@
-//! Draws the paper's nine figures, and one about predictions further ahead, from the tables of finished runs.
+//! Draws the paper's nine figures, one about predictions further ahead, and one about categories, from the tables of
+//! finished runs.
 //!
 //! Each figure has a file of its own, which makes a [`Drawing`]: a [`page::Page`] and the numbers on it. `simulation`
 //! renders the scenes. The diagrams show the parameters of the networks that `learning` builds. All other numbers come
@@ -7,6 +8,7 @@
 
 mod anatomy;
 mod axes;
+mod confusion;
 mod curves;
 mod diagram;
 mod forces_dataset;
@@ -228,6 +230,8 @@ pub enum Figure {
     Regression,
     /// Error and skill over the horizon. The paper has no such figure.
     Horizon,
+    /// The confusion of categories, of any experiment. The paper has no such figure.
+    Confusion,
 }
 
 /// A file format in which a figure is saved.
@@ -275,7 +279,7 @@ pub struct Drawing {
 
 impl Figure {
     /// The paper's figures in the paper's order, then the others.
-    pub const ALL: [Figure; 10] = [
+    pub const ALL: [Figure; 11] = [
         Figure::Task,
         Figure::PredictiveArch,
         Figure::InformationLossArch,
@@ -286,6 +290,7 @@ impl Figure {
         Figure::ReconstructionPerformance,
         Figure::Regression,
         Figure::Horizon,
+        Figure::Confusion,
     ];
 
     /// The paper's figures in the paper's order: the first ones of [`Figure::ALL`].
@@ -304,6 +309,7 @@ impl Figure {
             Figure::ReconstructionPerformance => "reconstruction_performance",
             Figure::Regression => "regression",
             Figure::Horizon => "horizon",
+            Figure::Confusion => "confusion",
         }
     }
 
@@ -322,6 +328,7 @@ impl Figure {
             }
             Figure::Regression => "prediction over reference at the fingertip",
             Figure::Horizon => "error and skill of predictions over the horizon",
+            Figure::Confusion => "which categories are predicted as which",
         }
     }
 
@@ -347,13 +354,18 @@ impl Figure {
             Figure::ReconstructionPerformance => reconstruction_performance::render(source),
             Figure::Regression => regression::render(source),
             Figure::Horizon => horizon::render(source),
+            Figure::Confusion => Err(FigureError::OnlyPaper {
+                shows: "categories, which the paper does not predict",
+                instead: "name an experiment that predicts some with --experiment",
+            }),
         }
     }
 }
 
 impl Figure {
-    /// Draws what the figure shows for an experiment of any robot. `modality` is that of [`Figure::Horizon`]; see
-    /// [`Source::showing`]. A figure that can't show several variants shows the first one, and says so.
+    /// Draws what the figure shows for an experiment of any robot. `modality` is that of [`Figure::Horizon`] and
+    /// [`Figure::Confusion`]; see [`Source::showing`]. A figure that can't show several variants shows the first one, and
+    /// says so.
     ///
     /// # Errors
     /// When the figure shows only the paper's robot, when the experiment's runs have nothing for it
@@ -400,6 +412,7 @@ impl Figure {
             Figure::ReconstructionPerformance => over_latent(Task::Reconstruction),
             Figure::Regression => regression::render_of(runs()?).map(with_remark),
             Figure::Horizon => horizon::render(&source),
+            Figure::Confusion => confusion::render_of(&runs()?, source.modality.as_deref()).map(with_remark),
         }
     }
 }

@@ -81,6 +81,9 @@ fn draw(studies: &[Runs], condition: &str) -> Result<Drawing, FigureError> {
         all.extend(own);
         data = Some(data.map_or(Ok(more.clone()), |data| data.vstack(&more))?);
     }
+    if let (true, Some(runs)) = (all.is_empty(), studies.first()) {
+        return Err(runs.no_rows());
+    }
     all.sort_by_key(|row| (row.scenario.clone(), row.definition.name));
     let over: BTreeSet<String> = studies.iter().filter_map(Runs::replicates).collect();
     let over = over.into_iter().collect::<Vec<_>>().join(" or ");
@@ -135,9 +138,9 @@ fn rows<'a>(runs: &Runs<'a>, condition: &str) -> Result<(Vec<Row<'a>>, DataFrame
     for ((scenario, modality), by_element) in &groups {
         let mut of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == *scenario);
         let layout = of_scenario.next().map_or(runs.layout(), |run| &run.record.layout);
-        let Some(definition) = layout.modalities.iter().find(|other| other.name.name() == *modality) else {
-            continue;
-        };
+        // Probabilities of categories do not lie on a line.
+        let is_it = |other: &&Definition| other.name.name() == *modality && !other.category;
+        let Some(definition) = layout.modalities.iter().find(is_it) else { continue };
         let (elements, r2) = (ends(definition), r2(runs, scenario, modality)?);
         let mut points = BTreeMap::new();
         for (key, places) in by_element.iter().filter(|((_, index), _)| elements.contains(&(*index as usize)))

@@ -439,7 +439,7 @@ impl Writer<'_> {
 
     /// Converts a modality that the decoder has computed to SI units, and declares it as an output.
     fn output(&mut self, prefix: &str, output: &Output) -> Result<(), LearningError> {
-        let Output { quantity, change, minimum, distribution, .. } = output;
+        let Output { quantity, change, minimum, softmax, distribution, .. } = output;
         let name = format!("{prefix}.{}", quantity.name);
         let shape = inner_shape(quantity);
         let mut value = self.columns(format!("{name}.normalized"), quantity.value, quantity.start, shape[0]);
@@ -452,6 +452,10 @@ impl Writer<'_> {
         value = self.node("Add", &[value, base], format!("{name}.shifted"), Vec::new());
         if let Some(distribution) = distribution {
             value = self.distribution(&name, output, distribution, [value, deviation])?;
+        }
+        if *softmax {
+            let attributes = vec![Attribute::int("axis", 1)];
+            value = self.node("Softmax", &[value], format!("{name}.probabilities"), attributes);
         }
         if let Some(minimum) = minimum {
             let minimum = self.number(format!("{name}.minimum"), *minimum as f32);

@@ -6,9 +6,12 @@
 //! state is used. [`epoch`] is what training logs. `words`
 //! has names and values for people.
 //!
+//! [`category`] judges categories.
+//!
 //! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
 
 pub mod baselines;
+pub mod category;
 pub mod contact;
 pub mod ensemble;
 pub mod epoch;
@@ -20,6 +23,7 @@ pub mod series;
 pub mod skill;
 mod words;
 
+use category::Categories;
 pub use ensemble::{Ensemble, Members};
 pub use error::MetricsError;
 use error::{check_finite, check_samples, rows};
@@ -105,6 +109,14 @@ pub enum Metric {
     F1,
     /// Area under the ROC curve of contacts; see [`force`].
     Auc,
+    /// Share of the samples whose category has the largest predicted probability; see [`category`].
+    Accuracy,
+    /// Mean over the categories of the share of their samples that are predicted right; see [`category`].
+    BalancedAccuracy,
+    /// Mean cross-entropy of the predicted probabilities, in nats; see [`category`].
+    LogLoss,
+    /// Number of samples of a category that are predicted as a category; see [`category`].
+    Confusion,
     /// Continuous ranked probability score, in the unit of the values; see [`ensemble`].
     Crps,
     /// Share of the references in the central interval with this probability in percent.
@@ -135,6 +147,10 @@ impl Metric {
     /// The metrics of forces that the strongest contacts do not decide.
     pub const FORCE: [Metric; 4] = [Metric::LogR2, Metric::TrimmedR2, Metric::F1, Metric::Auc];
 
+    /// The metrics of categories.
+    pub const CATEGORY: [Metric; 4] =
+        [Metric::Accuracy, Metric::BalancedAccuracy, Metric::LogLoss, Metric::Confusion];
+
     /// The metrics of a predictive distribution of forces.
     pub const DISTRIBUTION: [Metric; 15] = {
         use Metric::*;
@@ -161,7 +177,8 @@ impl Metric {
     /// Returns all metrics that do not belong to a region.
     pub fn all() -> impl Iterator<Item = Metric> {
         let of_forces = Self::FORCE.into_iter().chain(Self::DISTRIBUTION);
-        Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT).chain(of_forces)
+        let general = Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT);
+        general.chain(of_forces).chain(Self::CATEGORY)
     }
 
     /// Says in words which metrics there are.
@@ -176,7 +193,7 @@ impl Metric {
 
     /// Returns the metrics that can belong to a region.
     fn of_regions() -> impl Iterator<Item = &'static Metric> {
-        Self::GENERAL.iter().chain(&Self::DISTRIBUTION)
+        Self::GENERAL.iter().chain(&Self::DISTRIBUTION).chain(&Self::CATEGORY)
     }
 
     /// Returns the place of a metric by its name: those of all modalities in their order, and after them all others.
@@ -203,9 +220,12 @@ impl Metric {
         })
     }
 
-    /// Returns the metrics of a modality over all its values.
+    /// Returns the metrics of a modality over all its values. Those of categories are not computed from errors.
     pub fn of(definition: &Definition) -> Vec<Metric> {
         use Metric::*;
+        if definition.category {
+            return Vec::new();
+        }
         if definition.is_image() {
             return vec![RelativeError, Rmse, Mae];
         }
@@ -234,7 +254,7 @@ impl Metric {
     pub fn is_judgment(self) -> bool {
         match self {
             Metric::Regional(metric, _) => metric.is_judgment(),
-            Metric::Coverage(_) | Metric::Width(_) | Metric::Pit(_) => false,
+            Metric::Coverage(_) | Metric::Width(_) | Metric::Pit(_) | Metric::Confusion => false,
             metric => !Self::LATENT.contains(&metric),
         }
     }
@@ -244,6 +264,7 @@ impl Metric {
         match self {
             Metric::Regional(metric, _) => metric.higher_is_better(),
             Metric::R2 | Metric::Skill | Metric::SkillHorizon => true,
+            Metric::Accuracy | Metric::BalancedAccuracy => true,
             metric => Self::FORCE.contains(&metric),
         }
     }
@@ -265,6 +286,10 @@ impl Metric {
             Metric::TrimmedR2 => "trimmed_r2",
             Metric::F1 => "f1",
             Metric::Auc => "auc",
+            Metric::Accuracy => "accuracy",
+            Metric::BalancedAccuracy => "balanced_accuracy",
+            Metric::LogLoss => "log_loss",
+            Metric::Confusion => "confusion",
             Metric::Crps => "crps",
             Metric::Coverage(percent) => intern(&format!("coverage_{percent}")),
             Metric::Width(percent) => intern(&format!("width_{percent}")),
@@ -342,6 +367,8 @@ fn metric_unit(definition: &Definition, metric: Metric, elements: &[usize]) -> S
 #[derive(Debug, Clone)]
 pub struct Evaluation {
     definition: Definition,
+    /// What is known of categories; `None` for other modalities.
+    categories: Option<Categories>,
     columns: Vec<Series>,
     regions: Vec<RegionSums>,
     episodes: Vec<Totals>,
@@ -393,6 +420,7 @@ impl Evaluation {
             |name: &String| RegionSums { name: name.clone(), series: vec![Series::default(); width] };
         Self {
             definition: definition.clone(),
+            categories: definition.category.then(|| Categories::new(definition)),
             columns: vec![Series::default(); definition.width()],
             regions: of_image
                 .cloned()
@@ -428,6 +456,9 @@ impl Evaluation {
         check_finite("the reference", reference, width)?;
         check_finite("the prediction", mean, width)?;
         check_finite("the median", median, width)?;
+        if let Some(categories) = &mut self.categories {
+            categories.add(reference, mean);
+        }
         // Each column adds its values in their order, so the result does not depend on the threads.
         self.columns.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, columns)| {
             let first = chunk * COLUMNS_AT_ONCE;
@@ -474,6 +505,9 @@ impl Evaluation {
     /// definition whose elements have different units is left out. Images have only pooled values, and regions as well.
     /// A pooled value is computed from the added sums of its series, see [`series`].
     pub fn rows(&self) -> Vec<Row> {
+        if let Some(categories) = &self.categories {
+            return categories.rows();
+        }
         let metrics = Metric::of(&self.definition);
         let mean_squares = self.mean_squares();
         let mut found = Vec::new();
@@ -554,6 +588,9 @@ impl Evaluation {
 
     /// Ends an episode, or a part of it: what was added since the last call is of this episode.
     pub fn end_episode(&mut self, episode: u32) {
+        if let Some(categories) = &mut self.categories {
+            return categories.end_episode(episode);
+        }
         if self.episodes.last().is_some_and(|last| last.episode == episode) {
             self.episodes.pop();
         }
@@ -568,6 +605,9 @@ impl Evaluation {
     /// Returns the sums of each episode that has ended, for the metrics of all elements, or of all with the same unit,
     /// and for R2 and the relative error of each region. The relative error of an image that is no change is left out.
     pub fn sums(&self) -> Vec<EpisodeSums> {
+        if let Some(categories) = &self.categories {
+            return categories.sums();
+        }
         let mean_squares = self.mean_squares();
         let mut found = Vec::new();
         for Group { direction, elements, .. } in self.whole() {

@@ -33,8 +33,8 @@ pub use linear::linear;
 pub use posterior::{balanced_divergence, divergences, kl_divergence, sample};
 pub use rssm::rssm;
 pub use scores::{
-    cross_entropy, gaussian_crps, interval_score, softplus, truncated_laplace_crps, truncated_laplace_mean,
-    truncated_laplace_quantiles,
+    categorical_cross_entropy, cross_entropy, gaussian_crps, interval_score, softplus,
+    truncated_laplace_crps, truncated_laplace_mean, truncated_laplace_quantiles,
 };
 pub use stack::Stack;
 pub use two_layers::two_layers;

@@ -101,6 +101,19 @@ fn twice_density(z: &Tensor) -> Result<Tensor> {
     (z.sqr()? * -0.5)?.exp()? * (2.0 / PI).sqrt()
 }
 
+/// Returns the cross-entropy of the category of each row, in nats, `[batch]`. The probabilities of the categories are
+/// the softmax of the logits. In each row of `target`, a category is 1, and all others are 0. Both tensors are `[batch,
+/// categories]`.
+///
+/// # Errors
+/// When candle can't compute an operation.
+pub fn categorical_cross_entropy(logits: &Tensor, target: &Tensor) -> Result<Tensor> {
+    // Subtracting the largest logit changes no probability, so it needs no gradient.
+    let logits = logits.broadcast_sub(&logits.detach().max_keepdim(1)?)?;
+    let of_category = (&logits * target)?.sum(1)?;
+    logits.exp()?.sum(1)?.log()? - of_category
+}
+
 /// Returns the cross-entropy of an event that occurs (1) or not (0), in nats. Its probability is 1 / (1 + e^-x), with
 /// the logit x. Both tensors have the same shape.
 ///

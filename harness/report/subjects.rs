@@ -118,7 +118,8 @@ fn of_input(run: &Run) -> String {
 /// The vectors that a run predicts.
 fn vectors(run: &Run) -> Vec<Modality> {
     let is_vector = |modality: &&Modality| {
-        run.record.layout.get(**modality).is_some_and(|definition| !definition.is_image())
+        let own = run.record.layout.get(**modality);
+        own.is_some_and(|definition| !definition.is_image() && !definition.category)
     };
     run.record.spec.output.iter().filter(is_vector).copied().collect()
 }

@@ -16,17 +16,19 @@ impl Samples {
         window: &Window,
     ) -> Vec<String> {
         let sentence = |output: &Modality| {
-            let metric = if self.layout[*output].is_image() { "relative_error" } else { "r2" };
+            let definition = &self.layout[*output];
+            let metric = if definition.is_image() { "relative_error" } else { "r2" };
             let test = self.constant(*output, &after(&partition.test, window.first_horizon()));
             let training = self.constant(*output, &after(&partition.training, window.first_horizon()));
             match (test, training) {
-                (Some(is), _) => {
+                // Categories that do not change have metrics.
+                (Some(is), _) if !definition.category => {
                     Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))
                 }
-                (None, Some(is)) => Some(format!(
+                (_, Some(is)) => Some(format!(
                     "{output} {is} in all training samples, so no model can learn to predict it"
                 )),
-                (None, None) => None,
+                _ => None,
             }
         };
         let is_loaded = |output: &&Modality| !self.layout[**output].is_image() || self.has_frames();

@@ -25,6 +25,11 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
+    /// Returns the normalizer that changes no value. Categories have it, so that their inputs are 0 and 1.
+    fn none(width: usize) -> Self {
+        Self { mean: vec![0.0; width], std: vec![1.0], minimum: None }
+    }
+
     pub(super) fn std(&self, index: usize) -> f32 {
         self.std[if self.std.len() == 1 { 0 } else { index }]
     }
@@ -184,6 +189,9 @@ impl Normalizers {
     pub fn fit(samples: &Samples, transitions: &[Sample], scalings: &Scalings, action: Action) -> Self {
         let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
+            if definition.category {
+                return (modality, Normalizer::none(definition.width()));
+            }
             let moments = if definition.is_image() {
                 frame_moments(samples, transitions, modality)
             } else {

@@ -63,6 +63,7 @@ fn parse_mapping(text: &str) -> Result<Json, Problem> {
         return Err(Problem::new(place, message));
     }
     check_part(&SCHEMA, format, &tree, &HINTS)?;
+    sources(&tree)?;
     check(&tree)
         .map_err(|(path, message)| Problem::new(tree.place_of(&path), format!("'{path}': {message}")))?;
     Ok(tree.to_json())
@@ -152,13 +153,26 @@ fn check(tree: &Node) -> Result<(), (String, String)> {
     modalities(tree)
 }
 
+/// Refuses a modality that says neither which columns nor which label it has.
+fn sources(tree: &Node) -> Result<(), Problem> {
+    let has_none = |entry: &&Entry| {
+        matches!(entry.node.value, Value::Section(_))
+            && ["from", "label"].iter().all(|key| entry.node.get(key).is_none())
+    };
+    entries(tree, "modalities").iter().find(has_none).map_or(Ok(()), |Entry { key, node, .. }| {
+        let message = format!("missing 'modalities.{key}.from', or 'label' for the categories of a label");
+        Err(Problem::new(&node.place, message))
+    })
+}
+
 fn modalities(tree: &Node) -> Result<(), (String, String)> {
     let all = entries(tree, "modalities");
-    if all.len() == 1 {
-        return Err((
-            "modalities".into(),
-            "there is nothing to learn from the setpoint alone; name what was sensed".into(),
-        ));
+    let is_sensed =
+        |entry: &Entry| entry.key != Modality::SETPOINT.name() && entry.node.get("label").is_none();
+    if !all.iter().any(is_sensed) {
+        let alone = if all.len() == 1 { "the setpoint" } else { "labels" };
+        let message = format!("there is nothing to learn from {alone} alone; name what was sensed");
+        return Err(("modalities".into(), message));
     }
     let finger = Layout::finger();
     let mut images = Vec::new();
@@ -224,6 +238,7 @@ fn modality(node: &Node, known: Option<&Definition>) -> Result<bool, (&'static s
         let kind = if is_image { "a vector" } else { "an image, which has a size," };
         return Err((key, format!("only {kind} has this key")));
     }
+    categories(node, known)?;
     if node.get("angle").is_some() && node.get("quaternion").is_some() {
         return Err((".quaternion", "a modality is an angle or a quaternion".into()));
     }
@@ -232,6 +247,26 @@ fn modality(node: &Node, known: Option<&Definition>) -> Result<bool, (&'static s
         return Err((key, "an image is from one column".into()));
     }
     Ok(is_image)
+}
+
+/// Refuses categories with a key that has no meaning for them.
+fn categories(node: &Node, known: Option<&Definition>) -> Result<(), (&'static str, String)> {
+    const OTHERS: [&str; 8] =
+        [".scale", ".unit", ".angle", ".quaternion", ".size", ".order", ".crop", ".range"];
+    let Some(key) = [".label", ".categories"].into_iter().find(|key| node.get(&key[1..]).is_some()) else {
+        return Ok(());
+    };
+    if known.is_some() {
+        let message = "the finger has values of this name; give categories another name";
+        return Err((key, message.into()));
+    }
+    if node.get("label").is_some() && node.get("from").is_some() {
+        return Err((".from", "categories are from columns or from a label; remove one of them".into()));
+    }
+    match OTHERS.into_iter().find(|key| node.get(&key[1..]).is_some()) {
+        Some(key) => Err((key, "categories have no such key; remove it".into())),
+        None => Ok(()),
+    }
 }
 
 fn entries<'a>(tree: &'a Node, key: &str) -> &'a [Entry] {

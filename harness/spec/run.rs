@@ -326,6 +326,7 @@ impl RunSpec {
                 }
             }
         }
+        self.check_categories(layout)?;
         let of_tests = self.given.iter().filter_map(|given| match given {
             Given::Disturbed(inputs) => Some(inputs),
             _ => None,
@@ -356,6 +357,30 @@ impl RunSpec {
         }
     }
 
+    /// Refuses settings that categories can't have.
+    fn check_categories(&self, layout: &Layout) -> Result<(), String> {
+        let is_category = |name: &Modality| layout.get(*name).is_some_and(|definition| definition.category);
+        for name in self.modalities().iter().filter(|name| is_category(name)) {
+            if self.scaling.contains_key(name) {
+                return Err(format!(
+                    "'{name}' has categories, which are not scaled; leave out scaling.{name}"
+                ));
+            }
+            let Some(Trained { training, .. }) = self.trained() else { continue };
+            let (setting, why) = if training.predict.contains_key(name) {
+                ("predict", "which have no change; predict their value")
+            } else if training.losses.contains_key(name) {
+                ("loss", "whose loss is the cross-entropy; leave it out")
+            } else if training.distributions.contains_key(name) {
+                ("distribution", "whose probabilities are predicted anyway; leave it out")
+            } else {
+                continue;
+            };
+            return Err(format!("outputs.{name}.{setting}: '{name}' has categories, {why}"));
+        }
+        Ok(())
+    }
+
     /// Returns the hash that identifies the run: the first 16 hexadecimal digits of the SHA-256 of its JSON with sorted
     /// keys. It does not depend on the layout of the YAML, nor on whether defaults are written out.
     pub fn hash(&self) -> String {
@@ -367,10 +392,13 @@ impl RunSpec {
     /// Returns the run's spec with every setting, also those that are not stored. `layout` is that of the dataset.
     pub fn complete(&self, layout: &Layout) -> Json {
         let mut all = self.all();
-        all["scaling"] = json!(self.scalings(layout));
+        let mut scalings = self.scalings(layout);
+        scalings.retain(|modality, _| !layout[*modality].category);
+        all["scaling"] = json!(scalings);
         if let Some(Trained { training, .. }) = self.trained() {
             let is_vector = |modality: &&Modality| {
-                layout.get(**modality).is_some_and(|definition| !definition.is_image())
+                let own = layout.get(**modality);
+                own.is_some_and(|definition| !definition.is_image() && !definition.category)
             };
             let vectors: Vec<Modality> = self.output.iter().filter(is_vector).copied().collect();
             fn of<T: Copy + Default>(

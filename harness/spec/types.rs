@@ -206,7 +206,8 @@ pub struct OutputSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Predict")]
     pub predict: Option<Predict>,
-    /// The loss of a vector, in prediction. The default is `squared`. The loss of images is always squared.
+    /// The loss of a vector, in prediction. The default is `squared`. The loss of images is always squared, and that of
+    /// categories is the cross-entropy.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Loss")]
     pub loss: Option<Loss>,

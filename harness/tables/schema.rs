@@ -307,11 +307,12 @@ fn metric_values() -> Vec<Column> {
         text(
             "direction",
             "group of elements, such as the finger's fe (flexion/extension) and aa (adduction/abduction); 'in rad', \
-             'in m' and so on for the elements with a unit, if a modality has several; null if none or all",
+             'in m' and so on for the elements with a unit, if a modality has several; the category, or 'ball as book' \
+             for balls that are predicted as books; null if none or all",
         ),
         integer(
             "index",
-            "element: joint or link, 0 at the base, or dimension of the latent state; null for an aggregate",
+            "element: joint or link, 0 at the base, category, or dimension of the latent state; null for an aggregate",
         ),
         text(
             "metric",
@@ -322,7 +323,8 @@ fn metric_values() -> Vec<Column> {
              over the samples from that time of their episode on; kl: the divergence of the latent state, or of one of \
              its dimensions, from what is expected before the present sample, averaged over the test windows; active: \
              the number of dimensions whose kl is above 0.01 nats; log_r2, trimmed_r2, f1, auc, crps, coverage_90, \
-             width_90, pit_0 and so on: see docs/metrics.md; or a user's metric",
+             width_90, pit_0 and so on: see docs/metrics.md; accuracy, balanced_accuracy, log_loss and confusion of \
+             categories; or a user's metric",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),
@@ -341,7 +343,7 @@ fn sum_values() -> Vec<Column> {
         text(
             "metric",
             "a metric of metrics that is computed from the ratio of two sums: 1 minus it (r2, r2_ground), 100 times it \
-             (smape, wmape), its root (rmse), or itself (mae, relative_error)",
+             (smape, wmape), its root (rmse), or itself (mae, relative_error, accuracy, log_loss)",
         ),
     ];
     columns.extend(distance());
@@ -350,7 +352,8 @@ fn sum_values() -> Vec<Column> {
         real(
             "numerator",
             "",
-            "sum of the errors in the episode, to 0.05 %: absolute for mae and wmape, squared for rmse and r2",
+            "sum of the errors in the episode, to 0.05 %: absolute for mae and wmape, squared for rmse and r2; for \
+             accuracy, the number of samples that are predicted right",
         ),
         real(
             "denominator",

@@ -19,7 +19,10 @@ __all__ = ["Metric"]
 Metric = Callable[[NDArray[np.float64], NDArray[np.float64]], "float | None"]
 """A function of the reference and the prediction, each `[samples, elements]` in SI units."""
 
-BUILT_IN = ("smape", "wmape", "r2", "rmse", "mae", "relative_error", "skill")
+BUILT_IN = (
+    *("smape", "wmape", "r2", "rmse", "mae", "relative_error", "skill"),
+    *("accuracy", "balanced_accuracy", "log_loss", "confusion"),
+)
 
 Value = tuple[str, int, str | None, float | None]
 """A modality, a horizon, the modalities that the model got, and the value of a metric."""

@@ -21,9 +21,9 @@ from torch.nn import functional
 __all__ = ["Network", "NetworkFile", "State"]
 
 Layer = dict[str, Any]
-FORMATS = (1, 2, 3, 4)
-"""The versions of descriptions that this module can read: without and with memory, with predicted changes, and with
-distributions."""
+FORMATS = (1, 2, 3, 4, 5)
+"""The versions of descriptions that this module can read: without and with memory, with predicted changes, with
+distributions, and with categories."""
 RECONSTRUCTION = "reconstruction."
 """First part of the names of the parameters of the reconstruction's decoder."""
 
@@ -412,6 +412,8 @@ class Network(torch.nn.Module):
         else:
             mean, deviation = self._scales(quantity, part.shape[1:])
             part = part * deviation + mean
+        if quantity.get("softmax"):
+            part = part.softmax(1)
         others: dict[str, Tensor] = {}
         if "distribution" in quantity:
             part, others = _distribution(quantity["distribution"], columns, part, deviation)

@@ -12,6 +12,8 @@ Reads JSON from standard input and writes JSON to standard output. Either part m
         -> {"distributions": {"crps": [...], "intervals": {"50": [lows, highs], "90": [lows, highs]}}}
     {"contacts": {"touches": [...], "predicted": [...], "scores": [...]}}
         -> {"contacts": {"f1", "auc"}}
+    {"categories": {"category": [...], "probabilities": [[...]]}}
+        -> {"categories": {"accuracy", "balanced_accuracy", "log_loss", "confusion"}}; float32, as the program has them
 """
 
 import json
@@ -20,6 +22,7 @@ import sys
 import numpy as np
 import scoringrules
 from sklearn.linear_model import Ridge
+from sklearn.metrics import accuracy_score, balanced_accuracy_score, confusion_matrix, log_loss
 from sklearn.metrics import f1_score, mean_absolute_error, r2_score, roc_auc_score, root_mean_squared_error
 
 
@@ -63,6 +66,17 @@ def contacts(touches: list[bool], predicted: list[bool], scores: list[float]) ->
     return {"f1": f1_score(touches, predicted), "auc": roc_auc_score(touches, scores)}
 
 
+def categories(category: list[int], probabilities: list[list[float]]) -> dict[str, object]:
+    values = np.array(probabilities, np.float32)
+    labels, predicted = range(values.shape[1]), values.argmax(axis=1)
+    return {
+        "accuracy": accuracy_score(category, predicted),
+        "balanced_accuracy": balanced_accuracy_score(category, predicted),
+        "log_loss": log_loss(category, values, labels=labels),
+        "confusion": confusion_matrix(category, predicted, labels=labels).tolist(),
+    }
+
+
 def main() -> None:
     request = json.load(sys.stdin)
     answer = {}
@@ -70,7 +84,7 @@ def main() -> None:
         answer |= metrics(np.array(request["reference"], float), np.array(request["predicted"], float))
     if "ridge" in request:
         answer["ridge"] = ridge(**request["ridge"])
-    for part in (distributions, contacts):
+    for part in (distributions, contacts, categories):
         if part.__name__ in request:
             answer[part.__name__] = part(**request[part.__name__])
     json.dump(answer, sys.stdout)

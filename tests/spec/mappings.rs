@@ -155,7 +155,7 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
         ),
         (
             csv("  x: {from: log.x, shift: 1}"),
-            "m.yaml:9:20: unknown key 'shift' in 'modalities.x'. Allowed: from, scale",
+            "m.yaml:9:20: unknown key 'shift' in 'modalities.x'. Allowed: from, label",
         ),
         (csv("  X: log.x"), "m.yaml:9:3: 'X' in 'modalities' can't be a name"),
         (
@@ -225,6 +225,30 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
             csv("  x: {from: log.x, angle: deg, quaternion: xyzw}"),
             "m.yaml:9:44: 'modalities.x.quaternion': a modality is an angle or a quaternion",
         ),
+        (
+            csv("  x: {from: log.x, categories: [a]}"),
+            "m.yaml:9:32: 'modalities.x.categories': expected a list of at least 2 items",
+        ),
+        (
+            csv("  x: {from: log.x, categories: [a, a]}"),
+            "m.yaml:9:36: \"a\" is in 'modalities.x.categories' twice",
+        ),
+        (
+            csv("  x: {from: log.x, categories: [a, b], unit: N}"),
+            "m.yaml:9:46: 'modalities.x.unit': categories have no such key; remove it",
+        ),
+        (
+            csv("  y: log.y\n  x: {from: log.x, label: object}"),
+            "m.yaml:10:13: 'modalities.x.from': categories are from columns or from a label; remove one of them",
+        ),
+        (
+            csv("  y: log.y\n  arm: {label: object}"),
+            "m.yaml:10:16: 'modalities.arm.label': the finger has values of this name; give categories another name",
+        ),
+        (
+            csv("  x: {label: object}"),
+            "m.yaml:8:3: 'modalities': there is nothing to learn from labels alone; name what was sensed",
+        ),
         (line("time: t", "time: [t]"), "m.yaml:6:38: 'streams.log.time': expected a list of 2 items"),
         (line("time: t", "time: t, header: no"), "m.yaml:6:49: 'streams.log.header': expected "),
     ];
@@ -237,6 +261,7 @@ fn a_fault_is_told_with_its_place_and_what_is_allowed() {
 #[test]
 fn a_parquet_file_has_rows_that_are_samples_or_streams_with_keys_for_cleaning() {
     assert!(read(PARQUET).is_ok());
+    assert_eq!(read(&format!("{CSV}  x: log.x\n  y: {{label: object, categories: [1, b]}}\n")).err(), None);
     let keys =
         "time: [t, ns], missing: skip, missing_values: [NA, null, '-', -9999], header: none, offset_s: delay";
     let text = format!("{CSV}  x: {{from: log.x, angle: deg}}\n").replace("time: t", keys);

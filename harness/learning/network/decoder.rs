@@ -5,9 +5,12 @@ use super::head::{Head, heads};
 use super::layers::{Builder, FrameOutput, Perceptron};
 use super::{Architecture, Decoded, Decoder, Score, Spreads, Targets, Term};
 use candle_core::{Result, Tensor};
-use harness_ops::{Quantity, Stack, frame_decoder, frame_loss, frames, vector_losses};
+use candle_nn::ops::softmax;
+use harness_ops::{
+    Quantity, Stack, categorical_cross_entropy, frame_decoder, frame_loss, frames, vector_losses,
+};
 use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Builds the decoder that an architecture describes.
 pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Result<Box<dyn Decoder>> {
@@ -18,6 +21,8 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
             head.bounds = Some([builder.constant(zero)?, builder.constant(threshold)?]);
         }
     }
+    let is_category = |modality: &&Modality| architecture.layout[**modality].category;
+    let categories = vectors_of.iter().filter(is_category).copied().collect();
     let size = architecture.size(&images_of);
     let channels = images_of.len() * IMAGE_CHANNELS;
     let hidden =
@@ -48,6 +53,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
     Ok(Box::new(PerceptronDecoder {
         condition: [architecture.latent, architecture.action],
         heads,
+        categories,
         vectors_of: with_widths(architecture, vectors_of),
         images_of,
         shared,
@@ -70,6 +76,8 @@ struct PerceptronDecoder {
     vectors_of: Vec<(Modality, usize)>,
     /// The vectors of which a distribution is predicted. Their other parameters follow all vectors.
     heads: BTreeMap<Modality, Head>,
+    /// The vectors whose probabilities are the softmax of their columns.
+    categories: BTreeSet<Modality>,
     /// The predicted images. They are stacked by channel.
     images_of: Vec<Modality>,
     /// Hidden layers that vectors and frames share.
@@ -118,9 +126,11 @@ impl Decoder for PerceptronDecoder {
         if let Some(vectors) = self.side_by_side(&hidden)? {
             let mut first = 0;
             for (modality, width) in &self.vectors_of {
+                let columns = || vectors.narrow(1, first, *width)?.contiguous();
                 let values = match self.heads.get(modality) {
                     Some(head) => head.means(&vectors)?,
-                    None => vectors.narrow(1, first, *width)?.contiguous()?,
+                    None if self.categories.contains(modality) => softmax(&columns()?, 1)?,
+                    None => columns()?,
                 };
                 decoded.insert(*modality, values);
                 first += width;
@@ -164,7 +174,8 @@ impl Decoder for PerceptronDecoder {
             let vectors: Vec<Modality> = self.vectors_of.iter().map(|(modality, _)| *modality).collect();
             let target = targets.values.vectors(&vectors)?;
             let losses = vector_losses(&predicted, &target, &quantities, targets.parts)?;
-            for (index, modality) in vectors.into_iter().enumerate() {
+            let mut first = 0;
+            for (index, (modality, width)) in self.vectors_of.iter().copied().enumerate() {
                 let value = match self.heads.get(&modality) {
                     Some(head) => {
                         let score = match targets.score {
@@ -173,8 +184,14 @@ impl Decoder for PerceptronDecoder {
                         };
                         score(head, &outputs, &predicted, &target, targets.parts)?
                     }
+                    None if self.categories.contains(&modality) => {
+                        let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
+                        let losses = categorical_cross_entropy(&columns(&predicted)?, &columns(&target)?)?;
+                        losses.reshape((targets.parts, ()))?.mean(1)?
+                    }
                     None => losses.get(index)?,
                 };
+                first += width;
                 terms.push(Term { modality, value });
             }
         }
@@ -200,6 +217,7 @@ impl Decoder for PerceptronDecoder {
             condition: self.condition,
             vectors_of: self.vectors_of.clone(),
             heads: self.heads.clone(),
+            categories: self.categories.clone(),
             images_of: self.images_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),

@@ -19,6 +19,11 @@ pub const FORMAT_WITH_MEMORY: u32 = 2;
 pub const FORMAT_WITH_CHANGES: u32 = 3;
 /// Version of the description of a network that predicts distributions, with or without memory and changes.
 pub const FORMAT_WITH_DISTRIBUTIONS: u32 = 4;
+/// Version of the description of a network that predicts categories, with or without all of these.
+pub const FORMAT_WITH_CATEGORIES: u32 = 5;
+
+/// The loss of categories.
+pub const CROSS_ENTROPY: &str = "cross_entropy";
 
 /// Value that the encoder is given: all normalized vectors of the input side by side, `[batch, width]`.
 pub const VECTORS: &str = "vectors";
@@ -48,7 +53,8 @@ pub const PRIOR: &str = "prior";
 /// A network with everything that is needed to rebuild it from its tensors.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
-    /// [`FORMAT`], [`FORMAT_WITH_MEMORY`], [`FORMAT_WITH_CHANGES`] or [`FORMAT_WITH_DISTRIBUTIONS`].
+    /// [`FORMAT`], [`FORMAT_WITH_MEMORY`], [`FORMAT_WITH_CHANGES`], [`FORMAT_WITH_DISTRIBUTIONS`] or
+    /// [`FORMAT_WITH_CATEGORIES`].
     pub format: u32,
     /// `prediction`: encoder and decoder. `reconstruction`: only a decoder, which takes the latent state of the
     /// prediction's encoder.
@@ -161,8 +167,12 @@ pub struct Output {
     /// Values below this bound are set to it, after they were converted to SI units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
-    /// The loss that the decoder was trained with, in normalized units. It has no effect with a distribution.
-    pub loss: Loss,
+    /// The loss that the decoder was trained with, in normalized units: `squared`, `absolute` or `huber`, or
+    /// `cross_entropy` of categories. It has no effect with a distribution.
+    pub loss: &'static str,
+    /// Whether the values are the softmax over its columns: the probability of each category.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub softmax: bool,
     /// The distribution of each value; `None` if only the value is predicted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distribution: Option<Predicted>,
@@ -409,7 +419,9 @@ impl Description {
                 .get(&name)
                 .and_then(|Normalizer { minimum, .. }| minimum.map(f64::from));
             // A reconstruction is trained with the squared error.
+            let softmax = architecture.layout[name].category;
             let loss = losses.get(&name).copied().filter(|_| encodes).unwrap_or_default();
+            let loss = if softmax { CROSS_ENTROPY } else { loss.name() };
             let change = (encodes && normalizers.changes.contains_key(&name)).then(|| change_of(name));
             let distribution = heads.get(&name).map(|head| Predicted {
                 family: head.family,
@@ -418,12 +430,13 @@ impl Description {
                 greatest_logarithm: GREATEST_LOGARITHM,
                 threshold: (head.family == Family::Hurdle).then_some(THRESHOLD_N),
             });
-            Output { quantity, change, minimum, loss, distribution }
+            Output { quantity, change, minimum, loss, softmax, distribution }
         };
         // The names of the decoder's last layers.
         let outputs = places(architecture, &architecture.output, ["vector", "conv"]);
         let outputs: Vec<Output> = outputs.into_iter().map(output).collect();
         let format = match encodes {
+            _ if outputs.iter().any(|output| output.softmax) => FORMAT_WITH_CATEGORIES,
             true if !heads.is_empty() => FORMAT_WITH_DISTRIBUTIONS,
             true if outputs.iter().any(|output| output.change.is_some()) => FORMAT_WITH_CHANGES,
             true if !memory.is_empty() => FORMAT_WITH_MEMORY,

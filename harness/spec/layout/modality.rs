@@ -219,6 +219,10 @@ pub struct Definition {
     /// same values. Networks treat the objects alike.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objects: Option<usize>,
+    /// Whether the elements of a vector are categories: one of them is 1 at each sample, and all others are 0. Its
+    /// predictions are the probabilities of the categories.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub category: bool,
     /// Which standard deviation the values are divided by for a network, if the spec does not say.
     pub scale: Scale,
     /// The least value of a prediction, in physical units, if the spec does not say.
@@ -243,6 +247,7 @@ impl Definition {
             groups: Vec::new(),
             contact_kinds: Vec::new(),
             objects: None,
+            category: false,
             scale: Scale::PerElement,
             minimum: None,
             percentage: None,

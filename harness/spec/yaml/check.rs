@@ -410,6 +410,7 @@ fn expected_length(schema: &Json) -> String {
     match (schema["minItems"].as_u64(), schema["maxItems"].as_u64()) {
         (Some(minimum), Some(maximum)) if minimum == maximum => format!("{minimum} items"),
         (Some(1), None) => "at least one item".into(),
+        (Some(minimum), None) => format!("at least {minimum} items"),
         (Some(1), Some(maximum)) => format!("one to {maximum} items"),
         (None, Some(maximum)) => format!("at most {maximum} items"),
         (None, None) => "items".into(),

@@ -19,6 +19,8 @@ defines which columns of the recording make up which modality:
       vision: observation.images.external         # pictures of any size
       touch: {from: "pad_?", unit: N}             # any other name is a new vector, with its unit
       wrist: {from: observation.images.wrist, size: [96, 96]}     # or a new image, with its rows and columns
+      state: {from: grasp_state, categories: [open, closed]}      # or categories, of which a sample has one
+      object: {label: object}                     # or the values of a label of the trials
     # These keys are required with `format: parquet`, and not allowed otherwise.
     episode: episode                # the column whose value differs between episodes
     order: sample                   # the column by which an episode's rows are sorted: a counter, or a time

@@ -217,8 +217,10 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
         own = [] if selection.size else selection.columns(take.columns)
         for column in own:
             before = meanings.setdefault(column, selection)
-            if (before.turn, before.quaternion) != (selection.turn, selection.quaternion):
-                raise selection.error(f"'{column}' has another 'angle' or 'quaternion' in modalities.{before.modality}")
+            for key in ("turn", "quaternion", "categories"):
+                if getattr(before, key) != getattr(selection, key):
+                    key = "angle" if key == "turn" else key
+                    raise selection.error(f"'{column}' has another '{key}' in modalities.{before.modality}")
         # The values of a quaternion are aligned together, all others by themselves.
         for group in [own] if selection.quaternion and own else [[column] for column in own]:
             names = {column.partition(".")[0] for column in group}
@@ -226,7 +228,8 @@ def align(take: Take, span: Span, mapping: Mapping, sampling: Sampling) -> Colum
                 raise selection.error(f"a quaternion is from one stream, not from {' and '.join(sorted(names))}")
             if not {*group} <= {*columns}:
                 name = names.pop()
-                columns |= _aligned(take.streams[name], group, span, sampling, sampling.streams[name].align, selection)
+                how = "last" if selection.categories else sampling.streams[name].align
+                columns |= _aligned(take.streams[name], group, span, sampling, how, selection)
     # In the order of the first file, by which patterns list them.
     return {column: columns[column] for column in wanted(mapping.selections, take.columns)}
 

@@ -269,6 +269,13 @@ class ArrayStream(Stream):
         is_missing = numbers == missing if missing.dtype.kind in "iuf" else False
         return np.where(is_missing, np.nan, numbers.astype(np.float64))
 
+    def values(self, column: str, first: int, last: int) -> Any:
+        array = self._arrays[column]
+        if np.dtype(array.dtype).kind in "iufb":
+            return self.read(column, first, last)
+        with blaming(f"{self.place}: '{column}', rows {first} to {last - 1}"):
+            return np.asarray(array[first:last]).tolist()
+
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         array = self._arrays[column]
         block = max(1, BLOCK_BYTES // max(1, int(np.prod(array.shape[1:])) * max(1, np.dtype(array.dtype).itemsize)))

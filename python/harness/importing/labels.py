@@ -10,7 +10,8 @@ from typing import Any
 
 import polars as pl
 
-from .mapping import NAME, Mapping, MappingError, slug
+from .categories import slug
+from .mapping import NAME, Mapping, MappingError
 
 TRIAL = "trial"
 """The label that every episode has: the name of its file, folder or group, or the value that divides a file."""

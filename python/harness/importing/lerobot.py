@@ -14,7 +14,7 @@ from harness._paths import plain_path
 
 from .alignment import wanted
 from .labels import Labeling
-from .mapping import Columns, Mapping, MappingError
+from .mapping import Columns, Mapping, MappingError, with_numbers
 from .recording import Recording
 from .streams import irregular
 
@@ -52,7 +52,8 @@ def open_lerobot(mapping: Mapping) -> Recording:
         if problem := irregular(times, 1 / dataset.fps):
             row, how = problem
             raise MappingError(f"{place}: frame {row}: {how} at {dataset.fps:g} fps; each frame is a sample")
-        return {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
+        stacked = {name: np.stack([_plain(item[name], name in pictures) for item in items]) for name in columns}
+        return with_numbers(stacked, mapping.selections)
 
     def episodes() -> Iterator[Callable[[], Columns]]:
         with kept:

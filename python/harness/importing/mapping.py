@@ -16,6 +16,8 @@ import numpy as np
 from harness import _harness
 from harness.recorded import FINGER
 
+from .categories import Categories, CategoryError, slug
+
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 """What a dataset, a stream or a modality may be called."""
 UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -66,11 +68,6 @@ def continuous(values: np.ndarray, order: str) -> np.ndarray:
     return values * np.cumprod(np.append(first, signs))[:, None]
 
 
-def slug(text: str) -> str:
-    """Returns a text with _ in the place of what no name of a column may contain."""
-    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-
-
 class MappingError(ValueError):
     """Raised if a mapping is wrong or does not fit the recording. The message says where and why."""
 
@@ -103,6 +100,8 @@ class Selection:
     """A whole turn in the unit of angles, before `scale`; None for other values."""
     quaternion: str = ""
     """The order of a quaternion's four values, `xyzw` or `wxyz`; empty for other values."""
+    categories: Categories | None = None
+    """The values of its column, if they are categories."""
     size: tuple[int, int] | None = None
     """Rows and columns of an image; None for a vector."""
     look: Look = Look()
@@ -151,6 +150,8 @@ class Selection:
         values = np.concatenate(parts, axis=1)
         if values.shape[1] == 0:
             raise self.error(f"{' + '.join(self.terms)} gives no values")
+        if self.categories:
+            return self._of_categories(self.categories, values)
         if self.turn:
             values = wrapped(values, self.turn)
         if self.quaternion:
@@ -165,6 +166,8 @@ class Selection:
     def elements(self, episode: Columns, width: int) -> list[str]:
         """Returns the names of the elements of a vector of this width: those of its columns, without what all names of
         its columns would repeat, or numbers for the elements of a single column."""
+        if self.categories:
+            return list(self.categories.names)
         found = [match for term in self.terms for match in self._matches(term, list(episode))]
         numbers = [f"{index:02}" for index in range(width)]
         if len(found) != width:
@@ -183,6 +186,30 @@ class Selection:
             raise self.error(
                 f"{at(int(wrong[0]))}: is no quaternion: its length is {length[wrong[0]]:.3g} instead of 1"
             )
+
+    def numbers_of_categories(
+        self, values: Any, at: Callable[[int], str], missing: tuple[float, ...] = ()
+    ) -> np.ndarray:
+        """Returns the numbers of the categories of a column's values, float64 [rows]; NaN for a missing value, and for
+        a number that stands for one.
+
+        Raises:
+            MappingError: a value is none of the categories.
+        """
+        assert self.categories
+        try:
+            return self.categories.numbers(values, at, missing)
+        except CategoryError as error:
+            raise self.error(str(error)) from None
+
+    def _of_categories(self, categories: Categories, numbers: np.ndarray) -> np.ndarray:
+        """Returns the elements of categories with these numbers, [samples, values]."""
+        if numbers.shape[1] != 1:
+            raise self.error(f"categories are from one column, and {' + '.join(self.terms)} has {numbers.shape[1]}")
+        missing = np.flatnonzero(np.isnan(numbers[:, 0]))
+        if len(missing):
+            raise self.error(f"row {missing[0]} has no value; every sample needs a category")
+        return categories.elements(numbers[:, 0])
 
     def _numbers(self, column: str, values: Any) -> np.ndarray:
         """Returns the values of a column, float64 [samples, elements]."""
@@ -237,6 +264,48 @@ class Selection:
         first = int(found["first"] or 0)
         last = int(found["last"]) if found["last"] else first + 1 if found["first"] else None
         return [(name, slice(first, last)) for name in names]
+
+
+@dataclass(frozen=True)
+class Labeled:
+    """A modality whose categories are the values of a label."""
+
+    modality: str
+    """Name of the modality."""
+    label: str
+    """The label."""
+    categories: Categories | None
+    """The categories; None for all values of the label."""
+
+    def of(self, labels: list[dict[str, Any]]) -> tuple[Categories, list[int]]:
+        """Returns the categories, and the number of that of each episode, given the labels of the episodes.
+
+        Raises:
+            MappingError: an episode lacks the label, or its value is none of the categories.
+        """
+        try:
+            if self.label not in labels[0]:
+                raise CategoryError(f"there is no label '{self.label}'; the labels are {', '.join(labels[0])}")
+            values = [each[self.label] for each in labels]
+            if None in values:
+                raise CategoryError(f"episode {values.index(None)} has no value of the label '{self.label}'")
+            categories = self.categories or Categories.of(sorted({*values}))
+            numbers = categories.numbers(values, lambda episode: f"episode {episode}")
+        except CategoryError as error:
+            raise MappingError(f"modalities.{self.modality}: {error}") from None
+        return categories, numbers.astype(int).tolist()
+
+
+def with_numbers(columns: Columns, selections: dict[str, Selection]) -> Columns:
+    """Returns columns with the numbers of categories in the place of their values.
+
+    Raises:
+        MappingError: a value is none of the categories.
+    """
+    for selection in selections.values():
+        for column in selection.columns(list(columns)) if selection.categories else []:
+            columns = columns | {column: selection.numbers_of_categories(columns[column], "row {}".format)}
+    return columns
 
 
 @dataclass(frozen=True)
@@ -365,6 +434,8 @@ class Mapping:
     """One of FORMATS."""
     selections: dict[str, Selection]
     """The columns of each modality, by its name. A recording without commands has no `setpoint`."""
+    labeled: dict[str, Labeled]
+    """The modalities whose categories are the values of a label, by their names."""
     rows: Rows | None
     """Set for Parquet files only."""
     sampling: Sampling | None
@@ -395,8 +466,12 @@ class Mapping:
             rows = Rows(text["episode"], text["order"], float(text["sample_rate_hz"]))
         counts = Counts()
         sampling = _sampling(text, counts) if has_streams else None
-        selections = _selections(text["modalities"], text["format"])
-        return cls(text["name"], path.parent, source, text["format"], selections, rows, sampling, text, counts)
+        modalities = text["modalities"]
+        of_labels = {name: keys for name, keys in modalities.items() if isinstance(keys, dict) and "label" in keys}
+        of_columns = {name: keys for name, keys in modalities.items() if name not in of_labels}
+        selections = _selections(of_columns, text["format"])
+        labeled = {name: Labeled(name, keys["label"], _categories(name, keys)) for name, keys in of_labels.items()}
+        return cls(text["name"], path.parent, source, text["format"], selections, labeled, rows, sampling, text, counts)
 
     @property
     def shift(self) -> int:
@@ -465,6 +540,7 @@ def _selection(modality: str, value: Any, kind: str) -> Selection:
         unit=str(keys.get("unit", keys.get("angle", ""))),
         turn={"deg": 360.0, "rad": 2 * math.pi}.get(keys.get("angle", "")),
         quaternion=keys.get("quaternion", ""),
+        categories=_categories(modality, keys),
         look=Look(
             keys.get("order") == "bgr",
             tuple(keys["crop"]) if "crop" in keys else None,
@@ -473,6 +549,15 @@ def _selection(modality: str, value: Any, kind: str) -> Selection:
         size=tuple(size) if size else None,
         shift=keys.get("shift", int(is_action)),
     )
+
+
+def _categories(modality: str, keys: dict[str, Any]) -> Categories | None:
+    if "categories" not in keys:
+        return None
+    try:
+        return Categories.of(keys["categories"])
+    except CategoryError as error:
+        raise MappingError(f"modalities.{modality}.categories: {error}") from None
 
 
 def _holds_text(values: np.ndarray) -> bool:

@@ -99,6 +99,10 @@ def write_page(path: Path, name: str, mapping: Mapping, recording: Recording, sk
         source = " + ".join(selection.terms)
         parts.append(f"<h2>{modality} <span class='note'>from {html.escape(source)}</span></h2>")
         parts += _images(modality, sketch) if selection.size else _vector(modality, selection.unit, sketch)
+    parts += [
+        f"<h2>{modality} <span class='note'>from the label {each.label}</span></h2>"
+        for modality, each in mapping.labeled.items()
+    ]
     rows = "".join(
         f"<tr><td>{index}</td><td>{length}</td><td class='text'>{html.escape(place)}</td></tr>"
         for index, (length, place) in enumerate(zip(sketch.lengths, sketch.places, strict=True))

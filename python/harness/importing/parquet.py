@@ -11,7 +11,7 @@ import polars as pl
 
 from .alignment import wanted
 from .labels import Labeling
-from .mapping import UNITS, Columns, Mapping, MappingError, Rows
+from .mapping import UNITS, Columns, Mapping, MappingError, Rows, Selection, with_numbers
 from .recording import Recording
 from .streams import irregular
 
@@ -40,15 +40,15 @@ def open_parquet(mapping: Mapping, what: Rows) -> Recording:
     except pl.exceptions.PolarsError as error:
         raise MappingError(f"source: {mapping.source} can't be read: {' '.join(str(error).split())}") from None
     groups = rows.partition_by(what.episode, maintain_order=True)
-    episodes = (partial(_columns, group, columns) for group in groups)
+    episodes = (partial(_columns, group, columns, mapping.selections) for group in groups)
     places = [f"{mapping.source}, {what.episode} {group[what.episode][0]}" for group in groups]
     labeling, first = Labeling(mapping), [{name: group[name][0] for name in told} for group in groups]
     labels = [labeling.of(str(each[what.episode]), each) for each in first]
     return Recording(what.sample_rate_hz, len(groups), episodes, places, labels=labels)
 
 
-def _columns(rows: pl.DataFrame, names: list[str]) -> Columns:
-    return {name: rows[name].to_list() for name in names}
+def _columns(rows: pl.DataFrame, names: list[str], selections: dict[str, Selection]) -> Columns:
+    return with_numbers({name: rows[name].to_list() for name in names}, selections)
 
 
 def scanned(files: list[Path]) -> pl.LazyFrame:

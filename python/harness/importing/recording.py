@@ -16,7 +16,7 @@ from tqdm import tqdm
 from .alignment import Plan, Quality, align, plan, wanted
 from .labels import Labeling, number
 from .mapping import Columns, Mapping, MappingError, Sampling
-from .streams import NO_TIME, Take, checked, divided, seconds
+from .streams import NO_TIME, Coded, Take, checked, divided, seconds
 
 T = TypeVar("T")
 READERS = {"csv": "tables", "parquet": "tables"}
@@ -152,12 +152,17 @@ class Takes:
             columns = first.columns
         labels = self._labeling.of(take.name, take.labels)
         pictures = {each.column_of_pictures(take.columns) for each in selections.values() if each.size is not None}
+        having = [each for each in selections.values() if each.categories]
+        coded = {column: each for each in having for column in each.columns(take.columns)}
         streams = {}
         for name in dict.fromkeys(map(_stream_of, columns)):
             settings, own = self.sampling.streams[name], [each for each in columns if _stream_of(each) == name]
             offset_ns = round(number(f"streams.{name}.offset_s", settings.offset_s, labels) * 1e9)
             is_sorted = self.sampling.steps_back == "sort"
-            streams[name] = checked(take.streams[name], settings, own, pictures, take.name, offset_ns, is_sorted)
+            of_categories = {column: coded[column] for column in own if column in coded}
+            stream = take.streams[name]
+            stream = Coded(stream, of_categories, settings.missing) if of_categories else stream
+            streams[name] = checked(stream, settings, own, pictures, take.name, offset_ns, is_sorted)
         return Take(take.name, {name: streams[name] for name in take.streams if name in streams}, labels)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .mapping import Mapping, MappingError, StreamSettings
+from .mapping import Mapping, MappingError, Selection, StreamSettings
 
 LIMIT_NS = 2**62
 """The largest time, ns. It is 146 years."""
@@ -36,6 +36,8 @@ class Stream(ABC):
     """The names by which a mapping calls its columns: `STREAM`, or `STREAM.COLUMN`."""
     received: np.ndarray | None = None
     """int64 [rows], ns: when a recorder received the values, if it noted that."""
+    coded: frozenset[str] = frozenset()
+    """The columns whose values are numbers of categories."""
 
     def __len__(self) -> int:
         return len(self.times)
@@ -47,6 +49,15 @@ class Stream(ABC):
         Raises:
             MappingError: they are no numbers, or can't be read.
         """
+
+    def values(self, column: str, first: int, last: int) -> Any:
+        """Returns the values of the rows from `first` to before `last`, which may be texts: an array, or a list in which
+        missing ones are None.
+
+        Raises:
+            MappingError: they can't be read.
+        """
+        return self.read(column, first, last)
 
     @abstractmethod
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
@@ -70,13 +81,20 @@ class View(Stream):
         self.whole, self.rows, self.place, self.columns = whole, rows, whole.place, whole.columns
         self.times = whole.times[rows] if times is None else times
         self.received = None if whole.received is None else whole.received[rows]
-        self.missing = missing
+        self.missing, self.coded = missing, whole.coded
 
     def read(self, column: str, first: int, last: int) -> np.ndarray:
         rows = self.rows[first:last]
         begin = int(rows.min())
         values: np.ndarray = self.whole.read(column, begin, int(rows.max()) + 1)[rows - begin]
-        return np.where(np.isin(values, self.missing), np.nan, values) if self.missing else values
+        may_miss = self.missing and column not in self.coded
+        return np.where(np.isin(values, self.missing), np.nan, values) if may_miss else values
+
+    def values(self, column: str, first: int, last: int) -> Any:
+        rows = self.rows[first:last]
+        begin = int(rows.min())
+        found = self.whole.values(column, begin, int(rows.max()) + 1)
+        return found[rows - begin] if isinstance(found, np.ndarray) else [found[row] for row in (rows - begin).tolist()]
 
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         own = self.rows[rows]
@@ -86,6 +104,29 @@ class View(Stream):
 
     def at(self, row: int) -> str:
         return self.whole.at(int(self.rows[row]))
+
+
+class Coded(Stream):
+    """Another stream, in which the values of some columns are the numbers of their categories."""
+
+    def __init__(self, whole: Stream, selections: dict[str, Selection], missing: tuple[float, ...]):
+        """`selections` has those of the columns, and `missing` the numbers that stand for a missing value."""
+        self.whole, self.place, self.columns = whole, whole.place, whole.columns
+        self.times, self.received = whole.times, whole.received
+        self.coded, self._selections, self._missing = frozenset(selections), selections, missing
+
+    def read(self, column: str, first: int, last: int) -> np.ndarray:
+        if column not in self._selections:
+            return self.whole.read(column, first, last)
+        values = self.whole.values(column, first, last)
+        at = self.whole.at
+        return self._selections[column].numbers_of_categories(values, lambda row: at(first + row), self._missing)
+
+    def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
+        return self.whole.pictures(column, rows)
+
+    def at(self, row: int) -> str:
+        return self.whole.at(row)
 
 
 @dataclass(frozen=True)

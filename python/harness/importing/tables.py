@@ -480,6 +480,9 @@ class TableStream(Stream):
     def read(self, column: str, first: int, last: int) -> np.ndarray:
         return self.table.numbers(column.removeprefix(self._prefix), first, last)
 
+    def values(self, column: str, first: int, last: int) -> Any:
+        return self.table.column(column.removeprefix(self._prefix), first, last).to_list()
+
     def pictures(self, column: str, rows: np.ndarray) -> Iterator[Any]:
         names = self.table.column(column.removeprefix(self._prefix))
         for row in rows.tolist():

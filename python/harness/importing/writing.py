@@ -59,12 +59,13 @@ class Draft:
                 np.save(file, values, allow_pickle=False)
         return cls(path, episode.index, len(episode), _digest(episode), episode.elements, episode.labels)
 
-    def read(self, mapping: Mapping, labels: dict[str, Any]) -> Episode:
-        """Reads the episode, and gives it labels."""
+    def read(self, mapping: Mapping, labels: dict[str, Any], labeled: dict[str, np.ndarray]) -> Episode:
+        """Reads the episode, and gives it labels, and vectors that are the same at all samples."""
         images = [name for name, selection in mapping.selections.items() if selection.size is not None]
         with open(self.path, "rb") as file:
             time = np.load(file)
             vectors = {name: np.load(file) for name in self.elements}
+            vectors |= {name: np.tile(values, (len(time), 1)) for name, values in labeled.items()}
             return Episode(self.index, time, vectors, {name: np.load(file) for name in images}, labels)
 
 
@@ -82,7 +83,9 @@ def write_dataset(
         unfinished.chmod(0o755)
         drafts = [Draft.write(unfinished, episode) for episode in episodes]
         labels, kinds = unified([draft.labels for draft in drafts])
-        identity = _identity(mapping, recording.sample_rate_hz, drafts, labels, kinds)
+        labeled = {name: each.of(labels) for name, each in mapping.labeled.items()}
+        named = drafts[0].elements | {name: list(categories.names) for name, (categories, _) in labeled.items()}
+        identity = _identity(mapping, recording.sample_rate_hz, drafts, named, labels, kinds)
         # The Rust program computes the same hash from the same text, in which letters beyond ASCII are not escaped.
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
         name = f"{mapping.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
@@ -91,7 +94,12 @@ def write_dataset(
         for draft in tqdm(drafts, desc="writing", unit=" episodes", file=sys.stderr, disable=not progress):
             file = f"episode_{draft.index:05}.parquet"
             if not _is_intact(read_stamped, folder / file, name, draft.index):
-                write_episode(unfinished / file, name, name, draft.read(mapping, labels[draft.index]), layout)
+                of_labels = {
+                    modality: categories.elements(np.array([numbers[draft.index]]))
+                    for modality, (categories, numbers) in labeled.items()
+                }
+                episode = draft.read(mapping, labels[draft.index], of_labels)
+                write_episode(unfinished / file, name, name, episode, layout)
             draft.path.unlink(missing_ok=True)
         if not _is_intact(_read_description, folder / DESCRIPTION, identity):
             description = json.dumps(identity | {"mapping": mapping.text}, indent=2, allow_nan=False)
@@ -154,10 +162,14 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 def _identity(
-    mapping: Mapping, rate: float, drafts: list[Draft], labels: list[dict[str, Any]], kinds: list[dict[str, str]]
+    mapping: Mapping,
+    rate: float,
+    drafts: list[Draft],
+    named: dict[str, list[str]],
+    labels: list[dict[str, Any]],
+    kinds: list[dict[str, str]],
 ) -> dict[str, Any]:
-    """Returns what a dataset's hash is computed from."""
-    named = drafts[0].elements
+    """Returns what a dataset's hash is computed from. `named` has the names of the elements of each vector."""
     for draft in drafts:
         for name, elements in draft.elements.items():
             if len(elements) != len(named[name]):
@@ -178,7 +190,7 @@ def _identity(
         "layout": layout,
         "name": mapping.name,
         "sample_rate_hz": rate,
-        "modalities": [name for name in mapping.selections if name != "setpoint"],
+        "modalities": [name for name in (*mapping.selections, *mapping.labeled) if name != "setpoint"],
         "split": _split(mapping.text.get("split"), labels),
         "episodes": [
             {"samples": draft.samples, "sha256": draft.digest, "labels": texts[draft.index]} for draft in drafts
@@ -217,6 +229,8 @@ def _layout(mapping: Mapping, named: dict[str, list[str]]) -> Layout:
             modalities.append({"name": difference_of(name), "meaning": meaning, **image, "difference_of": name})
         elif known and len(known["elements"]) == len(named[name]):
             modalities.append(known)
+        elif selection.categories:
+            modalities.append(_of_categories(name, named[name]))
         else:
             units = {element["unit"] for element in known["elements"]} if known else {selection.unit}
             unit = units.pop() if len(units) == 1 else ""
@@ -224,7 +238,14 @@ def _layout(mapping: Mapping, named: dict[str, list[str]]) -> Layout:
             keep = ("scale", "minimum", "percentage")
             rest = {key: known[key] for key in keep if key in known} if known else {"scale": "per_element"}
             modalities.append({"name": name, "meaning": "Value", "kind": "vector", "elements": elements, **rest})
-    return {"modalities": modalities}
+    return {"modalities": modalities + [_of_categories(name, named[name]) for name in mapping.labeled]}
+
+
+def _of_categories(name: str, named: list[str]) -> dict[str, Any]:
+    """Returns the definition of a modality, given the names of its categories."""
+    elements = [{"name": element, "unit": ""} for element in named]
+    vector = {"name": name, "meaning": "Whether it is", "kind": "vector", "elements": elements}
+    return vector | {"scale": "per_element", "category": True}
 
 
 def _digest(episode: Episode) -> str:
