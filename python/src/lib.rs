@@ -39,7 +39,9 @@ mod _harness {
     #[pymodule_export]
     use super::policy::{PolicyDataset, Recorder};
     #[pymodule_export]
-    use super::results::{add_metric, answer, claims, collect, figures, plot, report, verify};
+    use super::results::{
+        add_metric, answer, claims, collect, extract, figures, plot, recorded, report, verify,
+    };
     #[pymodule_export]
     use super::run::{Table, query, run};
     #[pymodule_export]
