@@ -94,21 +94,19 @@ pub fn sealed_table(table: DataFrame, columns: &[Column], stamp: &Stamp) -> Resu
 ///
 /// # Errors
 /// When the table has other columns.
-pub fn packed_table(mut table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
+pub fn packed_table(table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
     let compression = ParquetCompression::Zstd(Some(ZstdLevel::try_new(PACKED_LEVEL)?));
-    // The bytes must not depend on the pieces that the table was put together from.
-    table.rechunk_mut();
     sealed(table, columns, stamp, |writer| {
         let writer = writer.with_compression(compression).with_statistics(StatisticsOptions::empty());
-        writer.with_row_group_size(Some(PACKED_ROWS)).with_data_page_size(Some(PACKED_PAGE_BYTES))
+        writer.with_row_group_size(Some(PACKED)).with_data_page_size(Some(PACKED))
     })
 }
 
-fn sealed<'a>(
+fn sealed(
     mut table: DataFrame,
     columns: &[Column],
     stamp: &Stamp,
-    with_options: impl FnOnce(ParquetWriter<Cursor<Vec<u8>>>) -> ParquetWriter<Cursor<Vec<u8>>>,
+    with_options: impl FnOnce(ParquetWriter<&mut Vec<u8>>) -> ParquetWriter<&mut Vec<u8>>,
 ) -> Result<Vec<u8>, TableError> {
     let expected: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     let found: Vec<&str> = table.get_column_names().into_iter().map(|name| name.as_str()).collect();
