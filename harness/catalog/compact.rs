@@ -316,7 +316,12 @@ impl RunTable {
 
     /// Reads these columns of a run's file, which is compared with its record. A file of published runs has the rows of
     /// all of them.
-    fn read_file(&self, file: &RunFile, columns: &[String], rows: Option<(usize, usize)>) -> PolarsResult<DataFrame> {
+    fn read_file(
+        &self,
+        file: &RunFile,
+        columns: &[String],
+        rows: Option<(usize, usize)>,
+    ) -> PolarsResult<DataFrame> {
         let path = self.path(&file.run);
         let bytes = file.listed.read(&path)?;
         Ok(read_columns(&bytes, columns, rows)

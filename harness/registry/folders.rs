@@ -68,8 +68,10 @@ impl Registry {
             recorded.push((folder, record));
         }
         memory.recorded = Arc::new(one_each(recorded));
-        memory.marks =
-            files.into_iter().filter_map(|(mark, file)| Some((file, mark.filter(Mark::is_settled)?))).collect();
+        memory.marks = files
+            .into_iter()
+            .filter_map(|(mark, file)| Some((file, mark.filter(Mark::is_settled)?)))
+            .collect();
         changed || !before.is_empty()
     }
 

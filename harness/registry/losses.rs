@@ -12,8 +12,7 @@ impl RunFolder {
         let columns = ["task", "epoch", "split", "term", "value"].map(str::to_owned);
         let rows = record.columns(&self.path, Table::Epochs, &columns)?;
         let path = || self.path.join(Table::Epochs.file_name());
-        losses(&rows, task)
-            .map_err(|error| RegistryError::File { path: path(), reason: error.to_string() })
+        losses(&rows, task).map_err(|error| RegistryError::File { path: path(), reason: error.to_string() })
     }
 }
 

@@ -237,16 +237,17 @@ impl Merged {
         if self.records.is_empty() {
             return Ok(removed(&path, std::fs::remove_file(&path))?);
         }
-        let unwritable =
-            |error: serde_json::Error| RegistryError::Record { path: path.clone(), reason: error.to_string() };
+        let unwritable = |error: serde_json::Error| RegistryError::Record {
+            path: path.clone(),
+            reason: error.to_string(),
+        };
         let records: Vec<String> =
             self.records.iter().map(serde_json::to_string).collect::<Result<_, _>>().map_err(unwritable)?;
         let (records, tables) =
             (records.join(",\n"), serde_json::to_string(&self.tables).map_err(unwritable)?);
         let (key, blank) = (seal::KEY, seal::BLANK);
-        let text = format!(
-            "{{\n\"records\": [\n{records}\n],\n\"tables\": {tables},\n\"{key}\": \"{blank}\"\n}}\n"
-        );
+        let text =
+            format!("{{\n\"records\": [\n{records}\n],\n\"tables\": {tables},\n\"{key}\": \"{blank}\"\n}}\n");
         Ok(seal::write(&path, text.into_bytes())?)
     }
 

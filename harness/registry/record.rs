@@ -494,10 +494,8 @@ impl RunRecord {
 
     /// Writes the record, with a seal.
     pub(super) fn write(&self, path: &Path) -> Result<(), RegistryError> {
-        let mut json = serde_json::to_value(self).map_err(|error| RegistryError::Record {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
+        let mut json = serde_json::to_value(self)
+            .map_err(|error| RegistryError::Record { path: path.to_owned(), reason: error.to_string() })?;
         json[seal::KEY] = seal::BLANK.into();
         Ok(seal::write(path, format!("{json:#}\n").into_bytes())?)
     }

@@ -72,7 +72,8 @@ impl Registry {
             progress,
             files: AtomicUsize::new(0),
         };
-        let without_folder = recorded.iter().filter(|(folder, run)| run.is_merged() && !folder.is_dir()).count();
+        let without_folder =
+            recorded.iter().filter(|(folder, run)| run.is_merged() && !folder.is_dir()).count();
         let (runs_there, datasets_there) = (runs.len() + without_folder, datasets.len());
         let mut report = Report { runs: runs_there, datasets: datasets_there, ..Report::default() };
         datasets.iter().for_each(|folder| verification.dataset(folder, &mut report));

@@ -4,7 +4,8 @@ use super::Busy;
 use crate::command_line::without_results;
 use crate::merged::Copied;
 use crate::{
-    FileRecord, ForcesOf, Provenance, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of, is_network,
+    FileRecord, ForcesOf, Provenance, Registry, RegistryError, RunRecord, SPEC, WorldOf, forces_of,
+    is_network,
 };
 use harness_shared::progress::Progress;
 use harness_tables::TableError;
