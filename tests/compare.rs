@@ -1,6 +1,6 @@
 //! `harness compare` on real runs: in every format, the numbers are those of the tables.
 
-use crate::common::{SMOKE, ask, copy_folder, finish, fresh, harness, succeed};
+use crate::common::{SMOKE, ask, copy_folder, divide, finish, fresh, harness, succeed};
 use crate::report::PENDULUM;
 use crate::terminal::{plain, raw, too_wide};
 use harness::metrics::rounded;
@@ -780,16 +780,16 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
 
 /// Copies the published runs of two labels of `which_sense`. Those with the arm lack one dataset of the empty scenario.
 fn without_one_dataset(name: &str) -> PathBuf {
-    let (results, runs) = (fresh(name), Path::new("runs/which_sense"));
-    let published = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference").join(runs);
-    for entry in std::fs::read_dir(&published).unwrap() {
-        let run = entry.unwrap().file_name().into_string().unwrap();
+    let (results, runs) = (fresh(name), "runs/which_sense");
+    copy_folder(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference").join(runs),
+        &results.join(runs),
+    );
+    divide(&results, |record| {
         let chosen = ["-z64-senses=finger-", "-z64-senses=arm-"];
-        let left_out = run.starts_with("empty-z64-senses=arm-data2-");
-        if !left_out && chosen.iter().any(|label| run.contains(label)) {
-            copy_folder(&published.join(&run), &results.join(runs).join(&run));
-        }
-    }
+        let left_out = record.run.starts_with("empty-z64-senses=arm-data2-");
+        !left_out && chosen.iter().any(|label| record.run.contains(label))
+    });
     results
 }
 

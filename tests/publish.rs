@@ -128,7 +128,7 @@ fn a_published_registry_answers_all_but_single_samples_the_same() {
         "experiment,scenario,runs\nsmoke,cluttered,1\nsmoke,empty,1\nsweep,empty,1\n"
     );
 
-    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 37 files: all files are intact"));
+    assert!(succeed(&copy, &["verify"]).contains("6 runs, 0 datasets, 12 files: all files are intact"));
     let networks = files(&copy).keys().filter(|path| path.extension().unwrap() == "safetensors").count();
     assert_eq!(networks, 0);
 }
@@ -192,6 +192,74 @@ fn networks_are_copied_if_they_are_asked_for() {
     let (code, said, _) = onnx(&without, "none.onnx");
     assert!(code == 1 && said.contains("unless they were published with --networks"), "{code} {said}");
     succeed(&with, &["verify"]);
+}
+
+#[test]
+fn a_published_run_is_removed_and_the_others_keep_their_rows() {
+    let copy = fresh("published-removed");
+    publish(&copy);
+    let rows = "select * from metrics where run like 'cluttered%' order by run, task, model, modality, metric, index";
+    let before = csv(&copy, rows);
+    let said = succeed(&copy, &["rm", "smoke/empty", "--yes"]);
+    assert!(said.ends_with("2 folders removed\n"), "{said}");
+    assert_eq!(csv(&copy, rows), before);
+    assert!(succeed(&copy, &["verify"]).contains("4 runs, 0 datasets, "));
+    succeed(&copy, &["rm", "smoke", "sweep", "--yes"]);
+    assert_eq!(files(&copy.join("runs")).len(), 0);
+    // What is published later is added.
+    succeed(&RESULTS, &["publish", "smoke", "--where", "seed=5", "--output", copy.to_str().unwrap()]);
+    succeed(&RESULTS, &["publish", "smoke", "--where", "seed=3", "--output", copy.to_str().unwrap()]);
+    assert_eq!(csv(&copy, rows), before);
+    assert!(succeed(&copy, &["show", "smoke/empty-z4-seed3"]).contains("runs/smoke"));
+    let said = succeed(&copy, &["run", SMOKE, "seeds=[3,5]", "--dry-run"]);
+    assert!(said.contains("done") && !said.contains("damaged"), "{said}");
+}
+
+/// A process may be killed after each of the files that it writes.
+#[test]
+fn an_interrupted_replacement_leaves_the_old_runs_or_the_new_ones() {
+    let (copy, full) = (fresh("published-killed"), fresh("published-killed-full"));
+    let to = |copy: &Path| ["publish", "smoke", "--output", copy.to_str().unwrap()].map(str::to_owned);
+    succeed(&RESULTS, &to(&full).each_ref().map(String::as_str));
+    let some = to(&copy);
+    succeed(&RESULTS, &[&some.each_ref().map(String::as_str)[..], &["--where", "seed=3"]].concat());
+    let (old, new) = (copy.join("runs/smoke"), full.join("runs/smoke"));
+    let sql = "select run, count(*) as n, sum(value) as sum from metrics group by run order by run";
+    let [before, after] = [&copy, &full].map(|results| csv(results, sql));
+    assert_ne!(before, after);
+    for (path, bytes) in files(&new).into_iter().filter(|(path, _)| !path.ends_with("records.json")) {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        std::fs::write(old.join(format!("{name}.new")), bytes).unwrap();
+        assert_eq!(csv(&copy, sql), before);
+    }
+    std::fs::copy(new.join("records.json"), old.join("records.json")).unwrap();
+    assert_eq!(csv(&copy, sql), after);
+    succeed(&RESULTS, &some.each_ref().map(String::as_str));
+    assert!(files(&old).into_values().eq(files(&new).into_values()));
+}
+
+#[test]
+fn damage_to_what_published_runs_share_is_found() {
+    let copy = fresh("published-damaged");
+    publish(&copy);
+    for name in ["metrics.parquet", "records.json"] {
+        let path = copy.join("runs/smoke").join(name);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+        let answer = finish(&mut harness(&copy, &["verify"]));
+        let said = "; restore it from version control, or remove the folder and publish its runs again\n";
+        assert!(answer.code == 1 && answer.stdout.contains(name), "{}", answer.stdout);
+        assert!(answer.stdout.contains(said), "{}", answer.stdout);
+        let answer = finish(&mut harness(&copy, &["query", "select count(value) from metrics"]));
+        assert!(answer.stderr.contains(name), "{}", answer.stderr);
+        bytes[middle] ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+    }
+    succeed(&copy, &["verify"]);
+    let answer = finish(&mut harness(&copy, &complete(&fresh("published-complete"), "smoke")));
+    assert!(answer.code == 1 && answer.stderr.contains("publish it without --complete"), "{}", answer.stderr);
 }
 
 #[test]

@@ -2240,9 +2240,9 @@ fn specs_of_published_runs_are_stored_as_they_were() {
     let runs = experiments().join("../results/reference/runs");
     let mut checked = 0;
     for experiment in fs::read_dir(runs).unwrap() {
-        for run in fs::read_dir(experiment.unwrap().path()).unwrap() {
-            let Ok(text) = fs::read(run.unwrap().path().join("run.json")) else { continue };
-            let record: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let text = fs::read(experiment.unwrap().path().join("records.json")).unwrap();
+        let list: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        for record in list["records"].as_array().unwrap() {
             let read: spec::RunSpec = serde_json::from_value(record["spec"].clone()).unwrap();
             assert_eq!(serde_json::to_value(&read).unwrap(), record["spec"]);
             checked += 1;

@@ -766,10 +766,6 @@ impl Analysis {
         let mut runs: Vec<&RunRecord> = self.runs(experiment).iter().map(|run| &run.record).collect();
         if table == Table::Forces {
             let mut known = BTreeSet::new();
-            // Earlier versions published empty files for the other runs of a dataset, so these come last.
-            let is_empty =
-                |run: &RunRecord| run.files.get(&table.file_name()).is_some_and(|file| file.rows == Some(0));
-            runs.sort_by_key(|run| is_empty(run));
             runs.retain(|run| run.has(table) && known.insert(forces_of(run)));
         }
         Ok(RunTable::new(&self.registry, table, experiment, runs.into_iter())?)

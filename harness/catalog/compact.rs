@@ -70,7 +70,8 @@ struct Part {
     entries: Vec<Entry>,
 }
 
-/// Rows that are read together: those of consecutive runs in a part, or those of one run's own file.
+/// Rows that are read together: those of consecutive runs in a part or in a file of published runs, or those of one
+/// run's own file.
 #[derive(Clone, Copy)]
 struct Segment {
     place: Place,
@@ -78,9 +79,10 @@ struct Segment {
     rows: usize,
 }
 
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Place {
     Part(usize),
+    /// The file of a run. That of published runs is the file of the first one.
     File(usize),
 }
 
@@ -103,8 +105,7 @@ impl RunTable {
         let file = |record: &RunRecord| {
             let own = folder.join(&record.run);
             let listed = record.listed(&own, &name)?.settled(&own.join(&name));
-            // Published runs are few, and are meant for version control.
-            let is_small = listed.bytes <= LARGEST_BYTES && !record.published;
+            let is_small = listed.bytes <= LARGEST_BYTES && listed.slice.is_none();
             Ok(RunFile { run: record.run.clone(), listed, is_small })
         };
         let files = runs.map(file).collect::<Result<_, RegistryError>>()?;
@@ -121,7 +122,7 @@ impl RunTable {
     pub fn schema(&self) -> PolarsResult<SchemaRef> {
         let columns: Vec<String> = self.table.columns().into_iter().map(|column| column.name).collect();
         let Some(first) = self.files.first() else { return Ok(SchemaRef::default()) };
-        Ok(self.read_file(first, &columns)?.schema().clone())
+        Ok(self.read_file(first, &columns, Some((0, 0)))?.schema().clone())
     }
 
     /// Reads these columns of all rows that satisfy the conditions. With a limit, only the first `limit` rows are
@@ -156,29 +157,21 @@ impl RunTable {
             })
         };
         let (parts, places) = self.places();
-        let segments = self.segments(&places, limit);
-        let of_part = |(number, part): (usize, Part)| -> PolarsResult<Vec<(usize, T)>> {
-            let own = segments.iter().enumerate();
-            let own: Vec<_> = own.filter(|(_, one)| one.place == Place::Part(number)).collect();
-            if own.is_empty() {
-                return Ok(Vec::new());
-            }
-            let rows = part.file.read_serially(&needed).map_err(RegistryError::from)?;
-            drop(part);
+        let mut of_places: BTreeMap<Place, Vec<(usize, Segment)>> = BTreeMap::new();
+        for (index, segment) in self.segments(&places, limit).into_iter().enumerate() {
+            of_places.entry(segment.place).or_default().push((index, segment));
+        }
+        let of_place = |(place, segments): (Place, Vec<(usize, Segment)>)| -> PolarsResult<Vec<(usize, T)>> {
+            let rows = match place {
+                Place::Part(part) => parts[part].file.read_serially(&needed).map_err(RegistryError::from)?,
+                Place::File(file) => self.read_file(&self.files[file], &needed, None)?,
+            };
             let wanted = wanted(&rows)?;
-            own.into_iter()
-                .map(|(index, segment)| Ok((index, cut(&rows, wanted.as_ref(), segment)?)))
-                .collect()
+            let segments = segments.iter();
+            segments.map(|(index, segment)| Ok((*index, cut(&rows, wanted.as_ref(), segment)?))).collect()
         };
-        let of_file = |(index, segment): (usize, &Segment)| -> Option<PolarsResult<(usize, T)>> {
-            let Place::File(file) = segment.place else { return None };
-            let rows = self.read_file(&self.files[file], &needed);
-            Some(rows.and_then(|rows| Ok((index, cut(&rows, wanted(&rows)?.as_ref(), segment)?))))
-        };
-        let parts: Vec<_> = parts.into_par_iter().enumerate().map(of_part).collect::<PolarsResult<_>>()?;
-        let files: Vec<_> =
-            segments.par_iter().enumerate().filter_map(of_file).collect::<PolarsResult<_>>()?;
-        let mut all: Vec<(usize, T)> = parts.into_iter().flatten().chain(files).collect();
+        let made: Vec<_> = of_places.into_par_iter().map(of_place).collect::<PolarsResult<_>>()?;
+        let mut all: Vec<(usize, T)> = made.into_iter().flatten().collect();
         all.sort_by_key(|(index, _)| *index);
         Ok(all.into_iter().map(|(_, made)| made).collect())
     }
@@ -228,9 +221,13 @@ impl RunTable {
     fn segments(&self, places: &[Option<Segment>], limit: Option<usize>) -> Vec<Segment> {
         let mut segments: Vec<Segment> = Vec::new();
         let mut left = limit.unwrap_or(usize::MAX);
+        let first_slice = self.files.iter().position(|file| file.listed.slice.is_some()).unwrap_or_default();
         for (index, (file, place)) in self.files.iter().zip(places).enumerate() {
             let rows = file.listed.rows.unwrap_or(usize::MAX);
-            let own = Segment { place: Place::File(index), offset: 0, rows };
+            let own = match &file.listed.slice {
+                Some(slice) => Segment { place: Place::File(first_slice), offset: slice.offset, rows },
+                None => Segment { place: Place::File(index), offset: 0, rows },
+            };
             let mut next = place.unwrap_or(own);
             next.rows = next.rows.min(left);
             if limit.is_some() {
@@ -302,7 +299,7 @@ impl RunTable {
         let columns = self.table.columns();
         let names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
         let read = |entry: &Entry| -> PolarsResult<(Entry, DataFrame)> {
-            let rows = self.read_file(&RunFile::of(entry), &names)?;
+            let rows = self.read_file(&RunFile::of(entry), &names, None)?;
             Ok((Entry { rows: rows.height(), ..entry.clone() }, rows))
         };
         let read: Vec<_> = runs.par_iter().map(read).collect::<PolarsResult<_>>()?;
@@ -317,11 +314,17 @@ impl RunTable {
         Ok(path)
     }
 
-    /// Reads these columns of a run's own file, which is compared with its record.
-    fn read_file(&self, file: &RunFile, columns: &[String]) -> PolarsResult<DataFrame> {
+    /// Reads these columns of a run's file, which is compared with its record. A file of published runs has the rows of
+    /// all of them.
+    fn read_file(
+        &self,
+        file: &RunFile,
+        columns: &[String],
+        rows: Option<(usize, usize)>,
+    ) -> PolarsResult<DataFrame> {
         let path = self.path(&file.run);
         let bytes = file.listed.read(&path)?;
-        Ok(read_columns(&bytes, columns)
+        Ok(read_columns(&bytes, columns, rows)
             .map_err(|error| RegistryError::File { path, reason: error.to_string() })?)
     }
 
@@ -362,6 +365,7 @@ impl RunFile {
             rows: Some(entry.rows),
             sha256: entry.sha256.clone(),
             next: None,
+            slice: None,
         };
         Self { run: entry.run.clone(), listed, is_small: true }
     }

@@ -19,6 +19,7 @@ use harness::sql::text_in_sql;
 use polars::prelude::{AnyValue, DataFrame};
 use serde::Deserialize;
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::process::ExitCode;
 
 #[derive(Args)]
@@ -261,7 +262,7 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
         lines.extend(notes.map(|(name, note)| (format!("note {name}"), note.clone())));
     }
     lines.push(("time".to_owned(), seconds.join(", ")));
-    lines.push(("folder".to_owned(), shown(folder.path())));
+    lines.push(("folder".to_owned(), shown(folder_of(folder, record))));
     print_beside(lines);
     let sheet = results::sheet(registry, Metrics::Main, is_run)?;
     if !sheet.rows.is_empty() {
@@ -270,9 +271,15 @@ fn print_essentials(registry: &Registry, folder: &RunFolder, record: &RunRecord)
     Ok(())
 }
 
+/// The folder with a run's tables: that of its experiment if the run is published.
+fn folder_of<'a>(folder: &'a RunFolder, record: &RunRecord) -> &'a Path {
+    let own = folder.path();
+    if record.is_merged() { own.parent().unwrap_or(own) } else { own }
+}
+
 /// Prints the spec, the layers of the networks, the run's row of the table `runs`, and all metrics.
 fn print_everything(registry: &Registry, folder: &RunFolder, record: &RunRecord) -> Result<()> {
-    print_beside([("folder".to_owned(), shown(folder.path()))]);
+    print_beside([("folder".to_owned(), shown(folder_of(folder, record)))]);
     println!("\n{}", record.spec.to_yaml());
     println!("{}\n", layers::table(&record.spec, &record.layout)?);
     let shown =

@@ -29,7 +29,7 @@ impl Remove {
         for wanted in &self.runs {
             for (folder, record) in registry.matching(wanted)? {
                 if !chosen.iter().any(|run| run.path == folder) {
-                    chosen.push(Removable::new(&folder, record.name()));
+                    chosen.push(Removable::run(&folder, &record));
                 }
             }
         }
@@ -129,16 +129,18 @@ impl Removed {
 /// Removes folders, and prints why others are kept.
 fn remove(registry: &Registry, chosen: &[Removable]) -> Removed {
     let mut end = Removed { removed: 0, kept: 0 };
-    for item in chosen {
-        match transfer::remove(registry, item) {
-            Ok(None) => end.removed += 1,
+    for items in chosen.chunk_by(Removable::together) {
+        match transfer::remove(registry, items) {
+            Ok(None) => end.removed += items.len(),
             Ok(Some(holder)) => {
-                eprintln!("{} is kept: {holder} works on it", item.name);
-                end.kept += 1;
+                for item in items {
+                    eprintln!("{} is kept: {holder} works on it", item.name);
+                }
+                end.kept += items.len();
             }
             Err(error) => {
                 eprintln!("error: {}", describe(&error));
-                end.kept += 1;
+                end.kept += items.len();
             }
         }
     }

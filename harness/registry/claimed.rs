@@ -1,13 +1,11 @@
 //! The right to write into the folder of a run.
 
-use super::command_line::without_results;
 use super::record::IN_ITS_PLACE;
 use super::{
     FileRecord, Outcome, Provenance, RECORD, Registry, RegistryError, RunFolder, RunRecord, SPEC, Status,
     UNCOMMITTED, peak_memory_bytes, removed,
 };
 use harness_shared::files::{FolderLock, UNFINISHED, WriteError, sorted, write_bytes, write_whole};
-use harness_shared::seal;
 use harness_spec::{Layout, RunSpec, Task};
 use harness_tables::schema::Table;
 use harness_tables::{sealed_table, write_table};
@@ -194,64 +192,15 @@ impl Claimed<'_> {
         self.write_record(&RunRecord { files, ..record })
     }
 
-    /// Writes a published copy of a run to its folder in this registry: whole files by name, and rows of tables. A
-    /// table without rows has no file. Removes the file of the lock, because copies are meant for version control, and
-    /// leaves `--results` out of the recorded command. Returns the record of the copy.
-    pub fn copy(
-        self,
-        record: &RunRecord,
-        whole: Vec<(String, Vec<u8>)>,
-        tables: Vec<(Table, DataFrame)>,
-    ) -> Result<RunRecord, RegistryError> {
-        let command = without_results(&record.provenance.command);
-        let provenance = Provenance { command, ..record.provenance.clone() };
-        let copied = self.write_copy(&RunRecord { provenance, ..record.clone() }, whole, tables);
-        self.lock.remove(&self.folder.path);
-        copied
-    }
-
-    fn write_copy(
-        &self,
-        record: &RunRecord,
-        whole: Vec<(String, Vec<u8>)>,
-        tables: Vec<(Table, DataFrame)>,
-    ) -> Result<RunRecord, RegistryError> {
-        let mut names = Vec::new();
-        for (name, bytes) in whole {
-            write_bytes(&self.folder.path.join(&name), &bytes)?;
-            names.push(name);
-        }
-        for (table, rows) in tables {
-            if rows.height() > 0 {
-                self.write_table(table, rows, record)?;
-                names.push(table.file_name());
-            } else {
-                // An earlier call may have copied rows of it.
-                let path = self.folder.path.join(table.file_name());
-                removed(&path, std::fs::remove_file(&path))?;
-            }
-        }
-        let copy = RunRecord { published: true, ..record.clone() }.with_files(self.folder, names)?;
-        self.write_record(&copy)?;
-        Ok(copy)
-    }
-
     /// Writes a table of the run.
     fn write_table(&self, table: Table, rows: DataFrame, record: &RunRecord) -> Result<(), RegistryError> {
         let path = self.folder.path.join(table.file_name());
         Ok(write_table(&path, rows, &table.columns(), &record.stamp())?)
     }
 
-    /// Writes the run's record, with a seal.
+    /// Writes the run's record.
     fn write_record(&self, record: &RunRecord) -> Result<(), RegistryError> {
-        let path = self.folder.path.join(RECORD);
-        let damaged = |error: serde_json::Error| RegistryError::Record {
-            path: path.clone(),
-            reason: error.to_string(),
-        };
-        let mut json = serde_json::to_value(record).map_err(damaged)?;
-        json[seal::KEY] = seal::BLANK.into();
-        Ok(seal::write(&path, format!("{json:#}\n").into_bytes())?)
+        record.write(&self.folder.path.join(RECORD))
     }
 
     /// Removes the run's folder, because a longer training replaces it. Errors are ignored, because the next command on

@@ -1,12 +1,13 @@
 //! The folders of runs: which records are used, and which are left out because they are damaged or in the wrong folder.
 
 use super::mark::Mark;
+use super::merged::{Merged, RECORDS, record_in};
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, RunFolder, Status};
 use crate::dataset::WorldVersion;
 use harness_shared::files::{FolderLock, folders, sorted};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -20,7 +21,7 @@ pub type Recorded = (PathBuf, RunRecord);
 #[derive(Default)]
 pub struct Remembered {
     recorded: Arc<Vec<Recorded>>,
-    /// What the file system said of each record's file, by the run's folder.
+    /// What the file system said of each file with records.
     marks: HashMap<PathBuf, Mark>,
 }
 
@@ -38,46 +39,39 @@ impl Registry {
         self.recorded().into_iter().map(|(_, record)| record).collect()
     }
 
-    /// The folders and records of all runs, like [`records`](Self::records).
+    /// The folders and records of all runs, like [`records`](Self::records). Published runs that are merged have a folder
+    /// only for their networks.
     pub fn recorded(&self) -> Vec<Recorded> {
-        self.read(self.run_folders())
+        self.read(self.record_files())
     }
 
     /// Reads the records that may have changed since the last call with this memory. Returns whether any did.
     pub fn refresh(&self, memory: &mut Remembered) -> bool {
-        let mut recorded = Arc::unwrap_or_clone(std::mem::take(&mut memory.recorded));
-        let mut before: HashMap<PathBuf, RunRecord> = recorded.drain(..).collect();
-        let folders: Vec<(PathBuf, Option<Mark>)> = self
-            .run_folders()
-            .into_par_iter()
-            .map(|folder| {
-                let mark = Mark::of(&folder.join(RECORD));
-                (folder, mark)
-            })
-            .collect();
-        let is_known = |folder: &PathBuf, mark: &Option<Mark>| {
-            // The status of a run that has not ended also depends on the lock of its folder.
-            let has_ended = |run: &RunRecord| matches!(run.status, Status::Done | Status::Failed);
-            mark.is_some()
-                && memory.marks.get(folder) == mark.as_ref()
-                && before.get(folder).is_some_and(has_ended)
+        let mark = |file: PathBuf| (Mark::of(&file), file);
+        let files: Vec<(Option<Mark>, PathBuf)> = self.record_files().into_par_iter().map(mark).collect();
+        let is_same = |(mark, file): &&(Option<Mark>, PathBuf)| {
+            mark.is_some() && memory.marks.get(file) == mark.as_ref()
         };
-        let (known, unknown): (Vec<_>, Vec<_>) =
-            folders.into_iter().partition(|(folder, mark)| is_known(folder, mark));
-        let read = self.read(unknown.iter().map(|(folder, _)| folder.clone()).collect());
+        let same: HashSet<&Path> = files.iter().filter(is_same).map(|(_, file)| &**file).collect();
+        // The status of a run that has not ended also depends on the lock of its folder.
+        let is_known = |(folder, run): &Recorded| {
+            matches!(run.status, Status::Done | Status::Failed) && same.contains(&*record_file(folder, run))
+        };
+        let before = Arc::unwrap_or_clone(std::mem::take(&mut memory.recorded));
+        let (mut recorded, before): (Vec<Recorded>, Vec<Recorded>) = before.into_iter().partition(is_known);
+        let mut before: HashMap<PathBuf, RunRecord> = before.into_iter().collect();
+        let known: HashSet<PathBuf> = recorded.iter().map(|(folder, run)| record_file(folder, run)).collect();
+        let unknown = files.iter().map(|(_, file)| file).filter(|file| !known.contains(*file));
         let mut changed = false;
-        for (folder, _) in &known {
-            recorded.extend(before.remove_entry(folder));
-        }
-        for (folder, record) in read {
+        for (folder, record) in self.read(unknown.cloned().collect()) {
             changed |= before.remove(&folder).as_ref() != Some(&record);
             recorded.push((folder, record));
         }
-        recorded.sort_by(|(a, _), (b, _)| a.cmp(b));
-        memory.recorded = Arc::new(recorded);
-        let settled = known.into_iter().chain(unknown);
-        memory.marks =
-            settled.filter_map(|(folder, mark)| Some((folder, mark.filter(Mark::is_settled)?))).collect();
+        memory.recorded = Arc::new(one_each(recorded));
+        memory.marks = files
+            .into_iter()
+            .filter_map(|(mark, file)| Some((file, mark.filter(Mark::is_settled)?)))
+            .collect();
         changed || !before.is_empty()
     }
 
@@ -108,32 +102,61 @@ impl Registry {
         misplaced.into_iter().chain(experiments.iter().flat_map(|experiment| folders(experiment))).collect()
     }
 
-    /// The records in these folders. Those that can't be used are left out.
-    pub(super) fn read(&self, folders: Vec<PathBuf>) -> Vec<Recorded> {
-        let versions = Mutex::default();
-        let read = folders.into_par_iter().map(|folder| (self.read_versioned(&folder, &versions), folder));
-        let read: Vec<_> = read.collect();
-        let kept = read.into_iter().filter_map(|(record, folder)| match record {
-            Ok(record) => Some((folder, record?)),
-            Err(error) => {
-                self.leave_out(&folder, format!("a run is left out: {error}"));
-                None
-            }
-        });
-        kept.collect()
+    /// The files with the records of all runs.
+    fn record_files(&self) -> Vec<PathBuf> {
+        let merged = folders(&self.runs()).into_iter().map(|experiment| experiment.join(RECORDS));
+        let merged: Vec<PathBuf> = merged.filter(|file| file.is_file()).collect();
+        let is_own = |file: &PathBuf| {
+            // Beside merged runs, a folder without a record has the networks of one of them.
+            let experiment = file.parent().and_then(Path::parent).unwrap_or(file);
+            !merged.iter().any(|other| other.parent() == Some(experiment)) || file.is_file()
+        };
+        let own = self.run_folders().into_iter().map(|folder| folder.join(RECORD)).filter(is_own);
+        own.chain(merged.iter().cloned()).collect()
     }
 
-    /// The record in a run's folder. The version of its world, which earlier versions of the program did not record, is
-    /// that of its dataset.
-    fn read_versioned(&self, folder: &Path, known: &Versions) -> Result<Option<RunRecord>, RegistryError> {
-        let Some(mut record) = self.read_run(folder)? else { return Ok(None) };
-        if record.provenance.world.is_none() && record.spec.simulation.is_some() {
+    /// The records in these files, sorted by folder. Those that can't be used are left out.
+    pub(super) fn read(&self, files: Vec<PathBuf>) -> Vec<Recorded> {
+        let versions = Mutex::default();
+        let read = files.into_par_iter().map(|file| (self.read_versioned(&file, &versions), file));
+        let read: Vec<_> = read.collect();
+        let kept = read.into_iter().flat_map(|(found, file)| {
+            found.unwrap_or_else(|error| {
+                self.leave_out(file.parent().unwrap_or(&file), format!("a run is left out: {error}"));
+                Vec::new()
+            })
+        });
+        one_each(kept.collect())
+    }
+
+    /// The records in a file, with the folders of their runs. The version of a world, which earlier versions of the
+    /// program did not record, is that of the run's dataset.
+    fn read_versioned(&self, file: &Path, known: &Versions) -> Result<Vec<Recorded>, RegistryError> {
+        let folder = file.parent().unwrap_or(file);
+        let mut found: Vec<Recorded> = match file.ends_with(RECORDS) {
+            true => self.published(folder)?,
+            false => self.read_run(folder)?.map(|record| (folder.to_owned(), record)).into_iter().collect(),
+        };
+        let records = found.iter_mut().map(|(_, record)| record);
+        for record in records.filter(|run| run.provenance.world.is_none() && run.spec.simulation.is_some()) {
             let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
             let version = known.entry(record.dataset.clone());
             let read = || WorldVersion::in_folder(&self.datasets().join(&record.dataset));
             record.provenance.world = version.or_insert_with(read).clone();
         }
-        Ok(Some(record))
+        Ok(found)
+    }
+
+    /// The published runs in the folder of an experiment.
+    ///
+    /// # Errors
+    /// When their records are damaged, or one is of another experiment.
+    pub(super) fn published(&self, experiment: &Path) -> Result<Vec<Recorded>, RegistryError> {
+        let own = |record: RunRecord| match self.folder_of(&record).path {
+            folder if folder.parent() == Some(experiment) => Ok((folder, record)),
+            _ => Err(RegistryError::Misplaced { path: experiment.join(RECORDS), of: record.name() }),
+        };
+        Merged::read(experiment)?.runs(experiment)?.into_iter().map(own).collect()
     }
 
     /// The record in a run's folder, or `None` if the run has not started. A record that says `running` is returned as
@@ -143,7 +166,7 @@ impl Registry {
     /// When the record is damaged, missing next to results, or that of another run.
     pub fn read_run(&self, folder: &Path) -> Result<Option<RunRecord>, RegistryError> {
         let path = folder.join(RECORD);
-        let Some(mut record) = RunRecord::read(&path)? else {
+        let Some(mut record) = record_in(folder)? else {
             return match holds_results(folder) {
                 true => Err(RegistryError::Record { path, reason: "there is no such file".into() }),
                 false => Ok(None),
@@ -168,6 +191,21 @@ impl Registry {
             test_dataset: record.test_dataset.clone(),
         }
     }
+}
+
+/// The file with the record of a run.
+fn record_file(folder: &Path, record: &RunRecord) -> PathBuf {
+    match folder.parent() {
+        Some(experiment) if record.is_merged() => experiment.join(RECORDS),
+        _ => folder.join(RECORD),
+    }
+}
+
+/// The runs sorted by folder, each once. A run that was done again counts instead of its published copy.
+fn one_each(mut recorded: Vec<Recorded>) -> Vec<Recorded> {
+    recorded.sort_by(|(a, one), (b, other)| (a, one.is_merged()).cmp(&(b, other.is_merged())));
+    recorded.dedup_by(|(next, _), (kept, _)| next == kept);
+    recorded
 }
 
 /// Whether a folder contains folders, or files that a run writes after its record.

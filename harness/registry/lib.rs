@@ -7,6 +7,7 @@
 //! results/runs/<experiment>/<run id>/spec.yaml, run.json, uncommitted.diff,
 //!     epochs.parquet, metrics.parquet, sums.parquet, predictions.parquet, forces.parquet, frames.parquet,
 //!     prediction.safetensors, reconstruction.safetensors
+//! results/runs/<experiment>/records.json, <table>.parquet    published runs, which share files, see `merged`
 //! results/compacted/<experiment>/<table>-<hash>.parquet      copies of the runs' rows, see the crate `catalog`
 //! results/compacted/<experiment>/checks.json                 which runs had intact files, see `checks`
 //! ```
@@ -22,6 +23,7 @@ mod folders;
 mod live;
 mod losses;
 mod mark;
+mod merged;
 mod names;
 mod own_metric;
 mod provenance;
@@ -38,11 +40,12 @@ pub use folders::{Recorded, Remembered};
 pub use harness_shared::{path_word, quoted};
 pub use live::{LiveEpochs, live_epochs, live_table};
 pub use mark::Mark;
+pub use merged::RECORDS;
 pub use own_metric::{OwnMetric, OwnValue};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use record::{
-    FileRecord, ForceRows, ForcesOf, Outcome, RunRecord, Status, Submission, Timings, WorldOf, episodes_used,
-    forces_of, is_network, runs_table,
+    FileRecord, ForceRows, ForcesOf, Outcome, RunRecord, Slice, Status, Submission, Timings, WorldOf,
+    episodes_used, forces_of, is_network, runs_table,
 };
 pub use verify::{Finding, Report};
 pub use worlds::{DatasetsNow, Outdated, UNKNOWN};
@@ -253,7 +256,10 @@ impl Registry {
     /// The runs of an experiment, for [`decide`](Self::decide).
     pub fn known(&self, experiment: &str) -> Known {
         let mut by_label: HashMap<String, Vec<PathBuf>> = HashMap::new();
-        for folder in folders(&self.runs().join(experiment)) {
+        let experiment_folder = self.runs().join(experiment);
+        let published = self.published(&experiment_folder).unwrap_or_default();
+        let published = published.into_iter().map(|(folder, _)| folder);
+        for folder in folders(&experiment_folder).into_iter().chain(published) {
             let id = folder.file_name().unwrap_or_default().to_string_lossy();
             let label = id.rsplit_once('-').map_or(&*id, |(label, _)| label).to_owned();
             by_label.entry(label).or_default().push(folder);
@@ -305,10 +311,9 @@ impl RunFolder {
 
     /// The run's record, or `None` if the run has not started.
     pub fn record(&self) -> Result<Option<RunRecord>, RegistryError> {
-        let path = self.path.join(RECORD);
-        match RunRecord::read(&path)? {
+        match merged::record_in(&self.path)? {
             Some(record) if (&record.experiment, &record.run) != (&self.experiment, &self.id) => {
-                Err(RegistryError::Misplaced { path, of: record.name() })
+                Err(RegistryError::Misplaced { path: self.path.join(RECORD), of: record.name() })
             }
             record => Ok(record),
         }
@@ -324,7 +329,7 @@ impl Known {
     /// Explains why a run is new: the settings in which it differs from the most similar run with the same label.
     fn why_new(&self, folder: &RunFolder, spec: &RunSpec) -> String {
         let alike = self.folders.get(&spec.label()).cloned().unwrap_or_default();
-        let alike = self.registry.read(alike);
+        let alike = self.registry.read(alike.into_iter().map(|folder| folder.join(RECORD)).collect());
         let described = alike.iter().map(|(_, record)| {
             let mut differences = differences(&record.spec, spec);
             if record.dataset != folder.dataset && differences.is_empty() {

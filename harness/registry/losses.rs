@@ -3,19 +3,16 @@
 use super::{RegistryError, RunFolder, RunRecord};
 use harness_metrics::epoch::Losses;
 use harness_spec::Task;
-use harness_tables::TableFile;
 use harness_tables::schema::Table;
 use polars::prelude::*;
 
 impl RunFolder {
     /// The losses on the validation samples of a finished run, in the order of the epochs.
     pub fn validation_losses(&self, record: &RunRecord, task: Task) -> Result<Vec<Losses>, RegistryError> {
-        let name = Table::Epochs.file_name();
-        let path = self.path.join(&name);
-        let bytes = record.listed(&self.path, &name)?.read(&path)?;
         let columns = ["task", "epoch", "split", "term", "value"].map(str::to_owned);
-        let rows = TableFile::new(&path, bytes)?.read_serially(&columns)?;
-        losses(&rows, task).map_err(|error| RegistryError::File { path, reason: error.to_string() })
+        let rows = record.columns(&self.path, Table::Epochs, &columns)?;
+        let path = || self.path.join(Table::Epochs.file_name());
+        losses(&rows, task).map_err(|error| RegistryError::File { path: path(), reason: error.to_string() })
     }
 }
 

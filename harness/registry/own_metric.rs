@@ -39,9 +39,13 @@ impl Registry {
     /// When the run is not finished, another process works on it, or its tables are damaged or can't be written.
     pub fn add_metric(&self, folder: &RunFolder, metric: &OwnMetric) -> Result<(), RegistryError> {
         let refused = |problem| RegistryError::NoMetric { path: folder.path.clone(), problem };
+        let finished = || {
+            let record = folder.record()?.filter(|record| record.status == Status::Done && !record.published);
+            record.ok_or_else(|| refused("it is not a finished run, or it is a published copy"))
+        };
+        finished()?;
         let claimed = self.claim(folder)?.ok_or_else(|| refused("another process works on it"))?;
-        let record = folder.record()?.filter(|record| record.status == Status::Done && !record.published);
-        let record = record.ok_or_else(|| refused("it is not a finished run, or it is a published copy"))?;
+        let record = finished()?;
         // An earlier call may have been killed.
         let settled =
             record.files.iter().map(|(name, file)| (name.clone(), file.settled(&folder.path.join(name))));

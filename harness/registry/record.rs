@@ -13,6 +13,7 @@ use harness_tables::{Stamp, TableError, column_of, read_footer};
 use jiff::Timestamp;
 use polars::prelude::*;
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -113,16 +114,29 @@ pub struct FileRecord {
     /// be the one or the other, so that the run is intact whenever the process is killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next: Option<Box<FileRecord>>,
+    /// The rows of a published run in the file of its experiment; `None` if the file is the run's own.
+    #[serde(skip)]
+    pub slice: Option<Slice>,
+}
+
+/// Consecutive rows of a file that has the rows of several runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Slice {
+    /// The file.
+    pub file: Arc<Path>,
+    /// The number of rows before those of the run.
+    pub offset: usize,
 }
 
 impl FileRecord {
     /// The entry of a file with these bytes, of which a table has `rows`.
     pub fn of(bytes: &[u8], rows: Option<usize>) -> Self {
-        Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)), next: None }
+        Self { bytes: bytes.len() as u64, rows, sha256: hex(&Sha256::digest(bytes)), next: None, slice: None }
     }
 
-    /// Reads the file at `path`.
+    /// Reads the file, which is at `path` if it is the run's own.
     pub fn read(&self, path: &Path) -> Result<Vec<u8>, RegistryError> {
+        let path = self.slice.as_ref().map_or(path, |slice| &slice.file);
         let damaged = |reason: String| Err(RegistryError::File { path: path.to_owned(), reason });
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
@@ -223,6 +237,9 @@ pub struct RunRecord {
     /// The files of a finished run, by name; empty before.
     #[serde(default)]
     pub files: BTreeMap<String, FileRecord>,
+    /// The resolved spec in YAML, with every default, of a published run that is merged with others; see `merged`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spec_yaml: Option<String>,
 }
 
 fn is_first(place: &usize) -> bool {
@@ -288,6 +305,20 @@ pub(super) struct SimulatedFor<'a> {
     pub simulation: Simulation,
 }
 
+/// Reads a sealed record or list of records, or returns `None` if the file does not exist.
+pub(super) fn read_sealed<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, RegistryError> {
+    let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
+    match seal::read(path) {
+        Err(SealError::Read(error))
+            if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+        {
+            Ok(None)
+        }
+        Err(error) => Err(damaged(error.to_string())),
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string())),
+    }
+}
+
 /// Whether a file of a finished run with this name belongs to a network, or is an attached model.
 pub fn is_network(name: &str) -> bool {
     name != SPEC && !name.ends_with(".parquet")
@@ -329,7 +360,13 @@ impl RunRecord {
             spec: spec.clone(),
             layout: layout.clone(),
             files: BTreeMap::new(),
+            spec_yaml: None,
         }
+    }
+
+    /// Whether the run is published in the files of its experiment, and has a folder at most for its networks.
+    pub fn is_merged(&self) -> bool {
+        self.spec_yaml.is_some()
     }
 
     /// The run's full name, `experiment/run`.
@@ -511,20 +548,16 @@ impl RunRecord {
 
     /// Reads a record, or returns `None` if the file does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
-        let damaged = |reason: String| RegistryError::Record { path: path.to_owned(), reason };
-        match seal::read(path) {
-            Err(SealError::Read(error))
-                if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
-            {
-                Ok(None)
-            }
-            Err(error) => Err(damaged(error.to_string())),
-            Ok(bytes) => {
-                let record: Self =
-                    serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
-                Ok(Some(Self { published: record.published || record.lacks_files(), ..record }))
-            }
-        }
+        let record: Option<Self> = read_sealed(path)?;
+        Ok(record.map(|record| Self { published: record.published || record.lacks_files(), ..record }))
+    }
+
+    /// Writes the record, with a seal.
+    pub(super) fn write(&self, path: &Path) -> Result<(), RegistryError> {
+        let mut json = serde_json::to_value(self)
+            .map_err(|error| RegistryError::Record { path: path.to_owned(), reason: error.to_string() })?;
+        json[seal::KEY] = seal::BLANK.into();
+        Ok(seal::write(path, format!("{json:#}\n").into_bytes())?)
     }
 
     /// The metadata that the run's table files carry about the run.

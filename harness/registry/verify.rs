@@ -2,6 +2,7 @@
 
 use super::commands::{Again, Commands};
 use super::folders::Recorded;
+use super::merged::{Merged, RECORDS};
 use super::record::{RunRecord, episodes_used};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use crate::dataset::{Inspection, inspect, is_lock};
@@ -57,7 +58,10 @@ impl Registry {
     /// belong there. Nothing is changed.
     pub fn verify(&self, progress: &dyn Progress) -> Report {
         let (datasets, runs) = (folders(&self.datasets()), self.run_folders());
-        let total = datasets.iter().chain(&runs).map(|folder| sorted(folder).len()).sum::<usize>();
+        let merged = folders(&self.runs()).into_iter().filter(|folder| folder.join(RECORDS).is_file());
+        let merged: Vec<PathBuf> = merged.collect();
+        let all = datasets.iter().chain(&runs).chain(&merged);
+        let total = all.map(|folder| sorted(folder).len()).sum::<usize>();
         progress.begin("verifying", total as u64, "files");
         let recorded = self.recorded();
         let verification = Verification {
@@ -68,9 +72,13 @@ impl Registry {
             progress,
             files: AtomicUsize::new(0),
         };
-        let mut report = Report { runs: runs.len(), datasets: datasets.len(), ..Report::default() };
+        let without_folder =
+            recorded.iter().filter(|(folder, run)| run.is_merged() && !folder.is_dir()).count();
+        let (runs_there, datasets_there) = (runs.len() + without_folder, datasets.len());
+        let mut report = Report { runs: runs_there, datasets: datasets_there, ..Report::default() };
         datasets.iter().for_each(|folder| verification.dataset(folder, &mut report));
         verification.datasets_that_are_gone(&datasets, &mut report);
+        merged.iter().for_each(|folder| verification.merged(folder, &mut report));
         runs.iter().for_each(|folder| verification.run(folder, &mut report));
         verification.strays(&mut report);
         progress.end();
@@ -205,6 +213,38 @@ impl Verification<'_> {
         }
     }
 
+    /// Reports what is wrong with the files that an experiment's published runs share.
+    fn merged(&self, experiment: &Path, report: &mut Report) {
+        let path = experiment.join(RECORDS);
+        let again = "; restore it from version control, or remove the folder and publish its runs again";
+        self.advance();
+        let read = || {
+            self.registry.published(experiment)?;
+            Merged::read(experiment)
+        };
+        let merged = match read() {
+            Ok(merged) => merged,
+            Err(RegistryError::Misplaced { of, .. }) => {
+                let own = self.registry.runs().join(of.split('/').next().unwrap_or_default());
+                let mend = if own.exists() { remove(experiment) } else { rename(experiment, &own) };
+                return report.broken(&path, format!("it is the record of {of}"), Some(mend));
+            }
+            Err(error) => return report.broken(&path, reason(error) + again, None),
+        };
+        for name in merged.tables.keys() {
+            self.advance();
+            if let Err(error) = merged.check(experiment, name) {
+                report.broken(&experiment.join(name), reason(error) + again, None);
+            }
+        }
+        for path in sorted(experiment).into_iter().filter(|path| !path.is_dir()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if !is_lock(&name) && name != RECORDS && !merged.tables.contains_key(&*name) {
+                report_stray(&path, report);
+            }
+        }
+    }
+
     fn run(&self, folder: &Path, report: &mut Report) {
         let path = folder.join(RECORD);
         let record = match self.registry.read_run(folder) {
@@ -220,7 +260,8 @@ impl Verification<'_> {
             Err(error) => return self.unreadable_run(folder, &path, &reason(error), report),
         };
         self.advance();
-        for name in record.files.keys() {
+        // The files that published runs share are checked once.
+        for (name, _) in record.files.iter().filter(|(_, file)| file.slice.is_none()) {
             self.advance();
             if let Err(problem) = check_listed(&record, folder, name) {
                 let path = folder.join(name);
@@ -285,7 +326,8 @@ impl Verification<'_> {
     /// Reports files that belong neither to a dataset nor to a run.
     fn strays(&self, report: &mut Report) {
         let experiments = folders(&self.registry.runs());
-        let experiments = experiments.into_iter().filter(|folder| !folder.join(RECORD).is_file());
+        let is_other = |folder: &PathBuf| !folder.join(RECORD).is_file() && !folder.join(RECORDS).is_file();
+        let experiments = experiments.into_iter().filter(is_other);
         let places = [self.registry.datasets(), self.registry.runs()].into_iter().chain(experiments);
         for path in places.flat_map(|place| sorted(&place)).filter(|path| !path.is_dir()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy();

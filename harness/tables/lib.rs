@@ -9,6 +9,7 @@ pub use predicted::{PREDICTED_COLUMNS, PredictedRow, PredictedRows, read_predict
 
 use harness_shared::files::{WriteError, write_bytes};
 use harness_shared::seal;
+use polars::polars_utils::compression::ZstdLevel;
 use polars::prelude::*;
 use schema::{Column, Kind};
 use std::collections::BTreeMap;
@@ -17,6 +18,11 @@ use std::path::{Path, PathBuf};
 
 /// Key in a file's metadata of the columns' units and meanings, as JSON.
 const COLUMNS_KEY: &str = "harness.columns";
+
+/// The level of compression of a packed table, of at most 22.
+const PACKED_LEVEL: i32 = 19;
+/// The rows of a group and the bytes of a page of a packed table. Long pages are compressed better.
+const PACKED: usize = 1 << 24;
 
 /// The provenance of a table by key. It is written to the file's metadata.
 pub type Stamp = BTreeMap<String, String>;
@@ -80,7 +86,28 @@ pub fn write_table(
 ///
 /// # Errors
 /// When the table has other columns.
-pub fn sealed_table(mut table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
+pub fn sealed_table(table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
+    sealed(table, columns, stamp, |writer| writer)
+}
+
+/// Returns the bytes of a smaller file than that of [`sealed_table`], which takes longer to write.
+///
+/// # Errors
+/// When the table has other columns.
+pub fn packed_table(table: DataFrame, columns: &[Column], stamp: &Stamp) -> Result<Vec<u8>, TableError> {
+    let compression = ParquetCompression::Zstd(Some(ZstdLevel::try_new(PACKED_LEVEL)?));
+    sealed(table, columns, stamp, |writer| {
+        let writer = writer.with_compression(compression).with_statistics(StatisticsOptions::empty());
+        writer.with_row_group_size(Some(PACKED)).with_data_page_size(Some(PACKED))
+    })
+}
+
+fn sealed(
+    mut table: DataFrame,
+    columns: &[Column],
+    stamp: &Stamp,
+    with_options: impl FnOnce(ParquetWriter<&mut Vec<u8>>) -> ParquetWriter<&mut Vec<u8>>,
+) -> Result<Vec<u8>, TableError> {
     let expected: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
     let found: Vec<&str> = table.get_column_names().into_iter().map(|name| name.as_str()).collect();
     if found != expected {
@@ -93,11 +120,11 @@ pub fn sealed_table(mut table: DataFrame, columns: &[Column], stamp: &Stamp) -> 
     metadata.extend(stamp.iter().map(|(key, value)| (format!("harness.{key}"), value.clone())));
     metadata.push((format!("harness.{}", seal::KEY), seal::BLANK.to_owned()));
     let mut bytes = Vec::new();
-    ParquetWriter::new(&mut bytes)
+    let writer = ParquetWriter::new(&mut bytes)
         .with_key_value_metadata(Some(KeyValueMetadata::from_static(metadata)))
         // Several threads write tables at the same time, so more threads for each table would only compete.
-        .set_parallel(false)
-        .finish(&mut table)?;
+        .set_parallel(false);
+    with_options(writer).finish(&mut table)?;
     seal::seal(&mut bytes).map_err(|error| PolarsError::ComputeError(error.to_string().into()))?;
     Ok(bytes)
 }

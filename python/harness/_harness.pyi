@@ -124,6 +124,12 @@ def add_metric(
 ) -> None:
     """Writes the values of a user's metric to the tables of a run; see `harness.add_metric`."""
 
+def recorded(experiment: str, run: str, results: Path) -> tuple[str, str]:
+    """The record of a run, as JSON, and its resolved spec in YAML. Raises KeyError if there is no such run."""
+
+def extract(run: str, folder: Path, results: Path) -> None:
+    """Writes the files of a published run to a folder. Raises KeyError if there is no such run."""
+
 def export_onnx(run: str, output: Path, task: str, results: Path) -> None:
     """See `harness.export_onnx`."""
 

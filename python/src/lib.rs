@@ -42,7 +42,9 @@ mod _harness {
     #[pymodule_export]
     use super::replay::Replays;
     #[pymodule_export]
-    use super::results::{add_metric, answer, claims, collect, figures, plot, report, verify};
+    use super::results::{
+        add_metric, answer, claims, collect, extract, figures, plot, recorded, report, verify,
+    };
     #[pymodule_export]
     use super::run::{Table, query, run};
     #[pymodule_export]

@@ -10,12 +10,12 @@ use harness::experiment::{self, describe};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::progress::Silent;
-use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, quoted};
+use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, SPEC, quoted};
 use harness::report::ReportError;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, Task};
 use pyo3::PyErr;
-use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -159,6 +159,29 @@ pub fn add_metric(
         registry.add_metric(&folder, &metric)
     };
     interruptible(py, add, || ())?.map_err(Raise::raise)
+}
+
+/// The record of a run, as JSON, and its resolved spec in YAML. Raises KeyError if there is no such run.
+#[pyfunction]
+pub fn recorded(experiment: &str, run: &str, results: PathBuf) -> PyResult<(String, String)> {
+    let registry = existing(results)?;
+    let folder = registry.runs().join(experiment).join(run);
+    let record = registry.read_run(&folder).map_err(Raise::raise)?;
+    let record = record.ok_or_else(|| PyKeyError::new_err(format!("there is no run {experiment}/{run}")))?;
+    let json = serde_json::to_string(&record).map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    let spec = record.spec_yaml.map_or_else(|| std::fs::read_to_string(folder.join(SPEC)), Ok);
+    Ok((json, spec.map_err(|error| PyOSError::new_err(error.to_string()))?))
+}
+
+/// Writes the files of a published run to a folder. Raises KeyError if there is no such run.
+#[pyfunction]
+pub fn extract(py: Python, run: &str, folder: PathBuf, results: PathBuf) -> PyResult<()> {
+    let registry = existing(results)?;
+    let extract = || {
+        let (own, record) = registry.find(run)?;
+        record.extract(own.path(), &folder)
+    };
+    interruptible(py, extract, || ())?.map_err(Raise::raise)
 }
 
 /// A question, as Python gives it.

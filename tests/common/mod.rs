@@ -4,6 +4,7 @@ pub mod finger;
 pub mod recorded;
 
 use assert_cmd::Command;
+use harness::registry::{Registry, RunRecord};
 use harness::seal;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -101,6 +102,22 @@ pub fn published_without(experiments: &[&str], name: &str) -> PathBuf {
         }
     }
     results
+}
+
+/// Gives each published run of a results folder for which `is_wanted` returns true a folder of its own, as other runs
+/// have, and removes the files that the runs share.
+pub fn divide(results: &Path, is_wanted: impl Fn(&RunRecord) -> bool) {
+    let runs = Registry::new(results).recorded();
+    for (folder, record) in runs.iter().filter(|(_, record)| is_wanted(record)) {
+        record.extract(folder, folder).unwrap();
+    }
+    for (folder, _) in runs {
+        for file in std::fs::read_dir(folder.parent().unwrap()).unwrap().map(|file| file.unwrap().path()) {
+            if file.is_file() {
+                std::fs::remove_file(file).unwrap();
+            }
+        }
+    }
 }
 
 /// Changes a value of a run's record.

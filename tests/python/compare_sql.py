@@ -67,7 +67,7 @@ def difference(ours: list[tuple], theirs: list[tuple], ordered: bool) -> str | N
 def main(results: Path, answers: Path) -> None:
     database = duckdb.connect()
     for table in TABLES:
-        files = sorted(map(str, results.glob(f"runs/*/*/{table}.parquet")))
+        files = sorted(map(str, results.glob(f"runs/**/{table}.parquet")))
         reader = "read_parquet($files, hive_partitioning=false)"
         database.execute(f"create table {table} as select * from {reader}", {"files": files})
         # The harness computes with 64 bits.

@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 
 import harness
-from harness import recorded
+from harness import _harness, recorded
 from harness.export.runs import Run, read_runs
 
 EXPERIMENTS = ("recommended", "oracle", "reproduction")
@@ -47,6 +47,16 @@ def add_further_rows(run: Path) -> None:
     (run / "run.json").write_bytes(sealed(json.dumps(record).encode()))
 
 
+def divide(results: Path, experiment: str) -> None:
+    """Gives each published run of an experiment a folder of its own, and removes the files that the runs share."""
+    shared = [path for path in (results / "runs" / experiment).iterdir() if path.is_file()]
+    for record in json.loads((results / "runs" / experiment / "records.json").read_text())["records"]:
+        run = record["run"]
+        _harness.extract(f"{experiment}/{run}", results / "runs" / experiment / run, results)
+    for path in shared:
+        path.unlink()
+
+
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Published runs as they are, and with further rows."""
@@ -54,6 +64,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for folder in (plain, further):
         for experiment in EXPERIMENTS:
             shutil.copytree(ROOT / "results/reference/runs" / experiment, folder / "runs" / experiment)
+            divide(folder, experiment)
     for record in further.glob("runs/*/*/run.json"):
         add_further_rows(record.parent)
     return plain, further

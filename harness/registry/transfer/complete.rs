@@ -37,7 +37,7 @@ struct Folder {
 /// there, so the same call continues an interrupted one.
 ///
 /// # Errors
-/// When no run is done, `to` is the same registry, or a file is damaged. When a run or a dataset is there with other
+/// When no run is done, one is a published copy, `to` is the same registry, or a file is damaged. When a run or a dataset is there with other
 /// content. Nothing is written in these cases. When another process works in a folder, or a file can't be written.
 pub fn publish_completely(
     registry: &Registry,
@@ -51,6 +51,9 @@ pub fn publish_completely(
     let runs: Vec<&Recorded> = chosen.iter().filter(|(_, record)| record.status == Status::Done).collect();
     if runs.is_empty() {
         return Err(PublishError::NotDone(registry.command("ls")));
+    }
+    if let Some((_, record)) = runs.iter().find(|(_, record)| record.is_merged()) {
+        return Err(PublishError::Merged(record.name()));
     }
     let mut done = Completed::default();
     let mut folders = Vec::new();

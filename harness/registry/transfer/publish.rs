@@ -1,13 +1,17 @@
 //! Small copies of finished runs: what figures, claims and comparisons need, fit for version control.
 
-use super::{Busy, Removable, remove};
+use super::Busy;
+use crate::command_line::without_results;
+use crate::merged::Copied;
 use crate::record::Worlds;
-use crate::{ForcesOf, Registry, RegistryError, RunRecord, SPEC, forces_of, is_network};
+use crate::{
+    FileRecord, ForcesOf, Provenance, Registry, RegistryError, RunRecord, SPEC, forces_of, is_network,
+};
 use harness_shared::progress::Progress;
 use harness_tables::TableError;
 use harness_tables::schema::Table;
 use polars::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Why runs can't be published.
@@ -22,6 +26,9 @@ pub enum PublishError {
     /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
     #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
     NotPublished(PathBuf),
+    /// A run is to be copied completely, and shares its tables with other published runs.
+    #[error("{0} is a published copy, which has no tables of its own to copy; publish it without --complete")]
+    Merged(String),
     /// None of the chosen runs is done.
     #[error("none of these runs is done, so there is nothing to copy; `{0}` shows why")]
     NotDone(String),
@@ -49,7 +56,7 @@ pub const EPISODES: usize = 20;
 pub struct Published {
     /// Number of published runs.
     pub runs: usize,
-    /// Size of their files in bytes, without the records.
+    /// Size of the tables of their experiments in bytes.
     pub bytes: u64,
 }
 
@@ -71,8 +78,8 @@ impl Content<'_> {
     }
 }
 
-/// Copies `chosen` runs of a registry to the registry `to`: records, specs, tables and what `content` adds or leaves
-/// out. Tables about single samples are copied without most of their rows.
+/// Copies `chosen` runs of a registry to the registry `to`, where the runs of an experiment share files: records, specs,
+/// tables and what `content` adds or leaves out. Tables about single samples are copied without most of their rows.
 ///
 /// All epochs and metrics are copied. Of each cell's lowest seed on its first dataset, the predictions of the last two
 /// joints and links in the first [`EPISODES`] test episodes and all images are copied. Of runs with a `variant` that is not a reading's, no predictions and
@@ -95,38 +102,29 @@ pub fn publish<'a>(
     }
     let chosen: Vec<_> = chosen.into_iter().collect();
     let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
-    let targets: BTreeSet<PathBuf> =
-        chosen.iter().map(|(_, record)| to.folder_of(record).path().to_owned()).collect();
-    let mut published_before = to.recorded();
     let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
     // Other runs have networks and rows that a copy would remove, or a process works on them.
     if let Some((folder, _)) =
-        published_before.iter().find(|(_, other)| !other.published && is_replaced(other))
+        to.recorded().into_iter().find(|(_, other)| !other.is_merged() && is_replaced(other))
     {
-        return Err(PublishError::NotPublished(folder.clone()));
+        return Err(PublishError::NotPublished(folder));
     }
-    published_before.retain(|(folder, _)| !targets.contains(folder));
+    let mut experiments: BTreeMap<&str, Vec<(&Path, &RunRecord)>> = BTreeMap::new();
+    for (folder, record) in &chosen {
+        experiments.entry(&record.experiment).or_default().push((folder, record));
+    }
     let mut published = Published::default();
     progress.begin("publishing", chosen.len() as u64, "runs");
-    for (folder, record) in chosen {
+    for (experiment, runs) in experiments {
         // All files are read before the first one is written, because one of them may be damaged.
-        let is_whole = |name: &&String| *name == SPEC || content.networks && is_network(name);
-        let whole = record.files.keys().filter(is_whole);
-        let whole: Vec<_> = whole
-            .map(|name| Ok((name.clone(), record.read_file(folder, name)?)))
-            .collect::<Result<_, RegistryError>>()?;
-        let tables = shown.tables(folder, record, content)?;
-        let copy = to.folder_of(record);
-        let Some(claimed) = to.claim(&copy)? else { return Err(Busy::at(copy.path()).into()) };
-        let record = claimed.copy(record, whole, tables)?;
-        published.bytes += record.files.values().map(|file| file.bytes).sum::<u64>();
-        published.runs += 1;
-        for (folder, other) in published_before.iter().filter(|(_, other)| is_same(other, &record)) {
-            if remove(to, &Removable::new(folder, other.name()))?.is_some() {
-                return Err(Busy::at(folder).into());
-            }
+        let mut copies = Vec::new();
+        for (folder, record) in runs {
+            copies.push(shown.copy(folder, record, content)?);
+            progress.advance(1);
         }
-        progress.advance(1);
+        published.runs += copies.len();
+        let bytes = to.merge(experiment, is_replaced, copies)?;
+        published.bytes += bytes.ok_or_else(|| Busy::at(&to.runs().join(experiment)))?;
     }
     progress.end();
     Ok(published)
@@ -158,13 +156,9 @@ impl Shown {
         shown
     }
 
-    /// The rows of each of a run's tables that are kept. Compares each file with the record.
-    fn tables(
-        &self,
-        folder: &Path,
-        record: &RunRecord,
-        content: Content,
-    ) -> Result<Vec<(Table, DataFrame)>, RegistryError> {
+    /// What is published of a run. Compares each file with the record. The recorded command is copied without
+    /// `--results`.
+    fn copy(&self, folder: &Path, record: &RunRecord, content: Content) -> Result<Copied, RegistryError> {
         let kept = record.tables().map(|table| {
             let rows = record.table(folder, table)?;
             let kept = match content.has(table) {
@@ -173,7 +167,21 @@ impl Shown {
             };
             Ok((table, kept))
         });
-        kept.collect()
+        let tables = kept.collect::<Result<_, RegistryError>>()?;
+        let networks = record.files.keys().filter(|name| content.networks && is_network(name));
+        let networks: Vec<_> = networks
+            .map(|name| Ok((name.clone(), record.read_file(folder, name)?)))
+            .collect::<Result<_, RegistryError>>()?;
+        let spec = || record.read_file(folder, SPEC).map(|text| String::from_utf8_lossy(&text).into_owned());
+        let command = without_results(&record.provenance.command);
+        let record = RunRecord {
+            published: true,
+            provenance: Provenance { command, ..record.provenance.clone() },
+            files: networks.iter().map(|(name, bytes)| (name.clone(), FileRecord::of(bytes, None))).collect(),
+            spec_yaml: Some(record.spec_yaml.clone().map_or_else(spec, Ok)?),
+            ..record.clone()
+        };
+        Ok(Copied { record, networks, tables })
     }
 
     /// The rows of a run's table that are kept.

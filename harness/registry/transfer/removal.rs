@@ -53,6 +53,8 @@ pub struct Removable {
     pub name: String,
     /// Size of all its files, bytes.
     pub bytes: u64,
+    /// Whether it is a published run that shares files with others.
+    pub is_merged: bool,
 }
 
 /// Whether a run was made with `--quick`. The name alone does not tell, because a spec may have such a name, too.
@@ -82,7 +84,7 @@ pub fn garbage(registry: &Registry, wanted: &[Garbage]) -> Vec<(Garbage, Removab
         ];
         let applies = |(reason, applies): &(Garbage, bool)| *applies && wanted.contains(reason);
         match reasons.into_iter().find(applies).filter(is_free) {
-            Some((reason, _)) => found.push((reason, Removable::new(folder, record.name()))),
+            Some((reason, _)) => found.push((reason, Removable::run(folder, record))),
             None => used.extend(record.datasets().map(|(name, _)| name.to_owned())),
         }
     }
@@ -114,12 +116,31 @@ fn unfinished(registry: &Registry) -> Vec<PathBuf> {
     folders.chain(abandoned(registry.root())).collect()
 }
 
-/// Removes the folder of a run or a dataset, or what is unfinished. If a process works there, nothing changes, and
-/// the process is returned.
+/// Removes published runs of one experiment.
+fn remove_merged(
+    registry: &Registry,
+    experiment: &Path,
+    runs: &[Removable],
+) -> Result<Option<String>, RegistryError> {
+    let is_gone = |record: &RunRecord| runs.iter().any(|run| run.path == registry.folder_of(record).path());
+    if registry.merge(&name(experiment), is_gone, Vec::new())?.is_none() {
+        return Ok(Some(FolderLock::other(experiment)));
+    }
+    remove_empty(registry, experiment);
+    Ok(None)
+}
+
+/// Removes the folder of a run or a dataset, or what is unfinished, or several published runs of an experiment, which
+/// is faster than one by one; see [`Removable::together`]. If a process works there, nothing changes, and the process is
+/// returned.
 ///
-/// The folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes
-/// what an interruption left.
-pub fn remove(registry: &Registry, item: &Removable) -> Result<Option<String>, RegistryError> {
+/// A folder is renamed first, so that an interruption leaves no part of it under its name. The next call removes what an
+/// interruption left.
+pub fn remove(registry: &Registry, items: &[Removable]) -> Result<Option<String>, RegistryError> {
+    let Some(item) = items.first() else { return Ok(None) };
+    if let Some(experiment) = item.path.parent().filter(|_| item.is_merged) {
+        return remove_merged(registry, experiment, items);
+    }
     if !item.path.exists() {
         return Ok(None);
     }
@@ -175,7 +196,17 @@ impl Removable {
             Ok(about) if about.is_file() => about.len(),
             _ => files(path).into_iter().map(|(_, bytes)| bytes).sum(),
         };
-        Self { path: path.to_owned(), name, bytes }
+        Self { path: path.to_owned(), name, bytes, is_merged: false }
+    }
+
+    /// The folder of a run. The size of one that shares files with others is that of the files of its own.
+    pub fn run(folder: &Path, record: &RunRecord) -> Self {
+        Self { is_merged: record.is_merged(), ..Self::new(folder, record.name()) }
+    }
+
+    /// Whether two runs can be removed by one call.
+    pub fn together(&self, other: &Self) -> bool {
+        self.is_merged && other.is_merged && self.path.parent() == other.path.parent()
     }
 }
 

@@ -94,8 +94,8 @@ def _log(client: MlflowClient, experiment: str, run: Run, differing: str, artifa
     for part in _batches(metrics, MOST_METRICS):
         client.log_batch(id, metrics=part)
     if artifacts:
-        for file in sorted(run.folder.iterdir()):
-            if not file.name.startswith(".unfinished"):
+        with run.files() as files:
+            for file in files:
                 client.log_artifact(id, str(file))
     client.set_terminated(id, STATUS[run.row["status"]], end)
     client.set_tag(id, COMPLETE, run.version)

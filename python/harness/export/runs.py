@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import harness
-from harness.recorded import read_sealed
+from harness import _harness
 
 TAGS = (
     "dataset",
@@ -76,14 +78,19 @@ class Run:
         """The experiment and the id."""
         return f"{self.experiment}/{self.id}"
 
-    @property
-    def folder(self) -> Path:
-        """The run's folder."""
-        return self.results / "runs" / self.experiment / self.id
+    @contextmanager
+    def files(self) -> Iterator[list[Path]]:
+        """Gives the run's files. Those of a published run, which shares files with others, exist until the end."""
+        folder = self.results / "runs" / self.experiment / self.id
+        with TemporaryDirectory() as temporary:
+            if not (folder / "run.json").exists():
+                folder = Path(temporary)
+                _harness.extract(self.name, folder, self.results)
+            yield sorted(file for file in folder.iterdir() if not file.name.startswith(".unfinished"))
 
     @cached_property
-    def _record(self) -> bytes:
-        return read_sealed(self.folder / "run.json")
+    def _recorded(self) -> tuple[str, str]:
+        return _harness.recorded(self.experiment, self.id, self.results)
 
     @property
     def version(self) -> str:
@@ -92,17 +99,17 @@ class Run:
         if state == "running":
             # Its record stays the same until the end.
             state += f" {len(self.curves)}"
-        return hashlib.sha256(self._record + state.encode()).hexdigest()
+        return hashlib.sha256((self._recorded[0] + state).encode()).hexdigest()
 
     @property
     def spec(self) -> str:
         """The resolved spec, in YAML."""
-        return (self.folder / "spec.yaml").read_text(encoding="utf-8")
+        return self._recorded[1]
 
     @cached_property
     def settings(self) -> dict[str, Any]:
         """Every setting of the resolved spec, by dotted key."""
-        return dict(_leaves(json.loads(self._record)["spec"]))
+        return dict(_leaves(json.loads(self._recorded[0])["spec"]))
 
     @property
     def tags(self) -> dict[str, str]:
