@@ -394,7 +394,7 @@ impl<'a> Part<'a> {
                 vec![format!("last {samples} samples"), format!("each with {}", before(layer)), given]
             }
             Operation::LayerNormalization { .. } => vec![short("layer normalization", "layer norm."), given],
-            Operation::ProductOfExperts => {
+            Operation::ProductOfExperts { .. } => {
                 vec![short("product of experts", "product"), format!("*μ*, log *σ*²: {given}")]
             }
             Operation::Average { size } => vec![format!("mean of {size} × {size} pixels"), given],

@@ -568,7 +568,9 @@ impl Writer<'_> {
             Operation::SumAndMaximum { objects } => {
                 self.sum_and_maximum(&inputs[0], output, *objects, layer.output[0] / 2);
             }
-            Operation::ProductOfExperts => self.product(&inputs, &output, layer.output[0] / 2),
+            Operation::ProductOfExperts { least_log_variance } => {
+                self.product(&inputs, &output, layer.output[0] / 2, *least_log_variance);
+            }
             Operation::Average { size } => {
                 let sides = [*size as i64; 2];
                 let attributes =
@@ -612,13 +614,15 @@ impl Writer<'_> {
     }
 
     /// Adds nodes that compute the product of Gaussian distributions and of the standard normal distribution.
-    fn product(&mut self, experts: &[String], output: &str, latent: usize) {
+    fn product(&mut self, experts: &[String], output: &str, latent: usize, least: f64) {
+        let least = self.number(format!("{output}.least"), least as f32);
         let mut precision = self.number(format!("{output}.one"), 1.0);
         let mut weighted = self.number(format!("{output}.zero"), 0.0);
         for expert in experts {
             let of = |part: &str| format!("{expert}.{part}");
             self.split(expert, &[(of("mean"), latent), (of("log_variance"), latent)]);
-            let negative = self.node("Neg", &[of("log_variance")], of("negative"), Vec::new());
+            let bounded = self.node("Max", &[&of("log_variance"), &least], of("bounded"), Vec::new());
+            let negative = self.node("Neg", &[bounded], of("negative"), Vec::new());
             let own = self.node("Exp", &[negative], of("precision"), Vec::new());
             let part = self.node("Mul", &[&of("mean"), &own], of("weighted"), Vec::new());
             precision = self.node("Add", &[precision, own], of("precisions"), Vec::new());

@@ -446,7 +446,7 @@ class Network(torch.nn.Module):
                 return torch.cat([objects.sum(1), objects.amax(1)], 1)
             case "product_of_experts":
                 means, logarithms = zip(*(expert.chunk(2, 1) for expert in inputs), strict=True)
-                precisions = [torch.exp(-logarithm) for logarithm in logarithms]
+                precisions = [torch.exp(-log.clamp(min=layer["least_log_variance"])) for log in logarithms]
                 precision = 1 + sum(precisions)
                 mean = sum(mean * own for mean, own in zip(means, precisions, strict=True)) / precision
                 return torch.cat([mean, -torch.log(precision)], 1)

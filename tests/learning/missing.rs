@@ -139,6 +139,14 @@ fn a_product_of_one_expert_is_that_expert_and_precisions_of_several_are_added() 
         assert!((numbers(both.mean())[at] - (a * one.0[at] + b * other.0[at]) / (a + b)).abs() < 1e-6);
     }
     assert!(Posterior::product(&[]).is_err());
+    // A value far from all others makes no precision infinite.
+    let far = Tensor::full(-1000.0_f32, (1, 3), &Device::Cpu).unwrap();
+    let far = Expert { posterior: Posterior::new(&far, &far).unwrap(), kept: None };
+    let product = Posterior::product(&[far]).unwrap();
+    assert_eq!(
+        (numbers(product.mean()), numbers(product.log_variance())),
+        (vec![-1000.0; 3], vec![-20.0; 3])
+    );
 }
 
 /// With the prior, which is a standard normal distribution, the precision given both inputs is the sum of those given

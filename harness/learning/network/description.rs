@@ -289,7 +289,10 @@ pub enum Operation {
     },
     /// The product of Gaussian distributions and of the standard normal distribution. Each input has means, followed by
     /// log-variances, and so has the output.
-    ProductOfExperts,
+    ProductOfExperts {
+        /// Log-variances of the inputs that are less count as this.
+        least_log_variance: f64,
+    },
     /// Layer normalization over the row: (x - mean) / sqrt(variance + epsilon) * weight + bias.
     LayerNormalization {
         /// Name of the weight, `[width]`.
@@ -374,7 +377,7 @@ impl Layer {
             | Operation::Average { .. }
             | Operation::Flatten
             | Operation::Reshape
-            | Operation::ProductOfExperts
+            | Operation::ProductOfExperts { .. }
             | Operation::LastSamples { .. } => Vec::new(),
             Operation::Dense { weights, bias, .. } => weights.iter_mut().chain([bias]).collect(),
             Operation::GatedRecurrentUnit { input_weight, input_bias, hidden_weight, hidden_bias } => {

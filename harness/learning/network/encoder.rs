@@ -3,7 +3,7 @@
 use super::description::{Activation, Layer, Operation, POSTERIOR};
 use super::layers::{Builder, Dense, FLAT, FrameInput, Norm, Perceptron, numbered};
 use super::vectors::VectorInput;
-use super::{Architecture, Encoder, Expert, Observation, Posterior};
+use super::{Architecture, Encoder, Expert, LEAST_LOG_VARIANCE, Observation, Posterior};
 use candle_core::{DType, Result, Tensor};
 use harness_ops::frames::Frames;
 use harness_ops::{Arithmetic, Dropout, Stack};
@@ -402,7 +402,7 @@ impl Encoder for ProductEncoder {
         }
         layers.push(Layer {
             name: POSTERIOR.into(),
-            operation: Operation::ProductOfExperts,
+            operation: Operation::ProductOfExperts { least_log_variance: LEAST_LOG_VARIANCE },
             inputs: experts,
             output: vec![2 * self.latent],
             parameters: 0,

@@ -597,13 +597,14 @@ impl Posterior {
     }
 
     /// Returns the product of distributions. Its precision is the sum of theirs, and its mean is theirs, weighted by
-    /// precision. An expert has no precision in the rows that it is not of.
+    /// precision. An expert has no precision in the rows that it is not of. Log-variances below
+    /// [`LEAST_LOG_VARIANCE`] count as this, because a rare value far from all others could make a precision infinite.
     ///
     /// # Errors
     /// When there are no experts, or tensors have other shapes.
     pub fn product(experts: &[Expert]) -> Result<Self> {
         let precision = |Expert { posterior, kept }: &Expert| {
-            let precision = posterior.log_variance()?.neg()?.exp()?;
+            let precision = posterior.log_variance()?.maximum(LEAST_LOG_VARIANCE)?.neg()?.exp()?;
             kept.as_ref().map_or(Ok(precision.clone()), |kept| precision.broadcast_mul(kept))
         };
         let precisions = experts.iter().map(precision).collect::<Result<Vec<_>>>()?;
@@ -654,6 +655,9 @@ impl Posterior {
         ops::kl_divergence(&self.0)
     }
 }
+
+/// The least log-variance of an expert.
+pub const LEAST_LOG_VARIANCE: f64 = -20.0;
 
 /// A distribution that is multiplied with others.
 pub struct Expert {
