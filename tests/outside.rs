@@ -102,7 +102,7 @@ fn unknown_names_and_files_are_refused_with_what_there_is() {
     assert!(
         unknown.starts_with(
             "error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: \
-                             choose_recommended, "
+                             choose_camera, choose_recommended, "
         ) && unknown.ends_with(", which_sense_crowded, or the path of a file\n"),
         "{unknown}"
     );

@@ -24,6 +24,7 @@ macro_rules! built_in {
 
 /// All specs in `experiments/`, in the order of their names.
 pub const SPECS: &[BuiltIn] = built_in![
+    "choose_camera",
     "choose_recommended",
     "first",
     "hidden_stiffness",
