@@ -12,6 +12,7 @@ __all__ = [
     "Model",
     "PolicyDataset",
     "Recorder",
+    "Replays",
     "SimulationBatch",
     "Table",
     "Task",
@@ -21,6 +22,7 @@ __all__ = [
     "claims",
     "collect",
     "export_onnx",
+    "extract",
     "figures",
     "main",
     "may_have_network",
@@ -28,6 +30,7 @@ __all__ = [
     "plot",
     "query",
     "read_mapping",
+    "recorded",
     "recording_notes",
     "reserved_names",
     "report",
@@ -135,14 +138,14 @@ def export_onnx(run: str, output: Path, task: str, results: Path) -> None:
 
 @final
 class Replays:
-    """The training episodes of a dataset, whose setpoints a world repeats; see `harness.fitting.fit_world`."""
+    """The compiled part of `harness.fitting.fit_world`."""
 
-    def __init__(self, datasets: Path, dataset: str, world: str, outputs: list[str]) -> None: ...
+    def __new__(cls, datasets: Path, dataset: str, world: str, outputs: list[str]) -> Replays: ...
     def ranges(self) -> dict[str, list[float]]:
         """Returns the lowest and the highest value of each factor of variation of the world."""
 
     def errors(self, factors: dict[str, float]) -> NDArray[np.float64]:
-        """Returns the errors of all values with these factors, in standard deviations."""
+        """Returns the errors of all values of the training episodes with these factors, in standard deviations."""
 
 @final
 class Table:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+__all__ = ["Fit", "fit_world"]
+
+
 class Fit(NamedTuple):
     """Factors of a world that were fitted to a recording."""
 

@@ -24,6 +24,7 @@ MODULES = [
     "harness.environments",
     "harness.episodes",
     "harness.export",
+    "harness.fitting",
     "harness.gymnasium",
     "harness.importing",
     "harness.networks",

@@ -721,6 +721,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     observation = {name: dataset[name][:2] for name in model.input}
     latent, _ = model.encode(observation)
     action = np.zeros((2, 3), np.float32)
+    replays = _harness.Replays(folders["cluttered"].parent, folders["cluttered"].name, "cluttered", ["arm"])
     mapping = tmp_path / "mapping.yaml"
     mapping.write_text("{name: lab, source: lab, format: lerobot, modalities: {setpoint: action, x: x}}")
     calls = {
@@ -737,6 +738,9 @@ def test_what_is_returned_has_the_types_of_the_stubs(
             ["smoke"], tmp_path / "report.html", Path("claims"), False, [], results, False
         ),
         "verify": lambda: _harness.verify(results),
+        "recorded": lambda: _harness.recorded("smoke", run, results),
+        "Replays.ranges": replays.ranges,
+        "Replays.errors": lambda: replays.errors({}),
         "collect": lambda: _harness.collect(SMOKE, [], False, results, False, None),
         "read_mapping": lambda: _harness.read_mapping(mapping),
         "networks": lambda: _harness.networks(run, results),
@@ -800,7 +804,8 @@ def test_what_is_returned_has_the_types_of_the_stubs(
     # returns a capsule.
     left_out = {"main", "Dataset.__new__", "Model.__new__", "SimulationBatch.__new__", "Table.__arrow_c_stream__"}
     left_out |= {"Dataset.__reduce__", "Model.__reduce__", "Task.__new__"}
-    left_out |= {"recording_notes"}  # of an imported dataset; tests/interchange calls it
+    # They are of an imported dataset and of a published run; tests/interchange calls them.
+    left_out |= {"recording_notes", "extract", "Replays.__new__"}
     for name in sorted(functions.keys() - left_out):
         stub = functions[name]
         if [ast.unparse(decorator) for decorator in stub.decorator_list] == ["property"]:

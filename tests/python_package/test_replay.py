@@ -112,6 +112,7 @@ def test_hidden_properties_are_fitted_and_the_fitted_world_predicts_the_test(pla
     fit = fit_world("lab", place.folder / "stiffer.yaml", ["stiffness", "damping"], "tail", results=results)
     assert abs(fit.factors["stiffness"] - 0.25) < 0.05 * 0.25 and abs(fit.factors["damping"] - 0.4) < 0.05 * 0.4, fit
     assert fit.after < 0.02 < 0.3 < fit.before and fit.at_bounds == ()
+    place.succeed("judge", "real.yaml", "simulator", "--world", "stiffer.yaml")
     factors = [word for name, value in fit.factors.items() for word in ("--factor", f"{name}={value}")]
     place.succeed("judge", "real.yaml", "simulator", "--world", "stiffer.yaml", *factors, "--model", "fitted")
     found = r2(place)
