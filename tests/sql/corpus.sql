@@ -1583,7 +1583,7 @@ select modality, coalesce(direction, '-') as direction, count(distinct index) as
 with g as (select experiment, avg(value) as mean, variance(value) as within, count(value) as n from metrics where metric = 'mae' and modality = 'contact_force' and model = 'network' and task = 'prediction' and index is null and direction is null group by experiment) select sum(n * within) / sum(n) as within, variance(mean) as between_ from g
 
 -- agree: the slope of a straight line
-select (count(*) * sum(x * y) - sum(x) * sum(y)) / (count(*) * sum(x * x) - sum(x) * sum(x)) as slope from (select log2(latent) as x, value as y from metrics where experiment = 'which_sense' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as p
+select (count(*) * sum(x * y) - sum(x) * sum(y)) / (count(*) * sum(x * x) - sum(x) * sum(x)) as slope from (select log2(latent) as x, value as y from metrics where experiment = 'reproduction' and metric = 'r2' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as p
 
 -- agree: the rank of each seed
 select seed, avg(place) as mean from (select seed, rank() over (partition by scenario, latent order by value) as place from metrics where experiment = 'which_sense' and metric = 'mae' and model = 'network' and modality = 'contact_force' and task = 'prediction' and index is null and direction is null) as r group by seed
