@@ -187,23 +187,44 @@ struct LateEncoder {
     vectors: VectorInput,
     images: Vec<Modality>,
     vector: Option<(Perceptron, Norm)>,
-    frames: Option<LateFrames>,
+    frames: Option<(FrameLayers, Norm)>,
     joint: Dense,
     posterior: Dense,
     arithmetic: Arithmetic,
 }
 
-/// The layers for frames in a [`LateEncoder`].
-struct LateFrames {
+/// Convolutions of frames and a fully connected layer with a ReLU, which see nothing but frames.
+struct FrameLayers {
     input: FrameInput,
     bias: Tensor,
-    norm: Norm,
 }
 
-impl LateFrames {
+impl FrameLayers {
+    fn new(
+        architecture: &Architecture,
+        images: &[Modality],
+        width: usize,
+        builder: &mut Builder,
+    ) -> Result<Self> {
+        let input = frame_input(architecture, images, "frame.weight", width, builder)?;
+        let bias = builder.uniform("frame.bias", &[width], input.stack.coarse_len())?;
+        Ok(Self { input, bias })
+    }
+
     fn forward(&self, frames: &Arc<dyn Frames>, dropout: Option<Dropout>) -> Result<Tensor> {
-        let hidden = self.input.forward(frames, dropout)?.broadcast_add(&self.bias)?.relu()?;
-        self.norm.forward(&hidden)
+        self.input.forward(frames, dropout)?.broadcast_add(&self.bias)?.relu()
+    }
+
+    fn detached(&self) -> Self {
+        Self { input: self.input.detached(), bias: self.bias.detach() }
+    }
+
+    /// Describes the layers. The last of them is `frame`.
+    fn layers(&self) -> Result<Vec<Layer>> {
+        let dense = Dense { weight: self.input.weight.clone(), bias: self.bias.clone() };
+        let mut layers = self.input.layers();
+        layers.push(dense.layer("frame", FLAT, true)?);
+        Ok(layers)
     }
 }
 
@@ -220,13 +241,8 @@ impl LateEncoder {
         let vector = vectors.width();
         let frames = (!images.is_empty())
             .then(|| {
-                let input = frame_input(architecture, &images, "frame.weight", width, builder)?;
-                let bias = builder.uniform("frame.bias", &[width], input.stack.coarse_len())?;
-                Ok::<_, candle_core::Error>(LateFrames {
-                    input,
-                    bias,
-                    norm: builder.norm("frame_norm", width)?,
-                })
+                let layers = FrameLayers::new(architecture, &images, width, builder)?;
+                Ok::<_, candle_core::Error>((layers, builder.norm("frame_norm", width)?))
             })
             .transpose()?;
         let vector = (vector > 0)
@@ -251,8 +267,8 @@ impl Encoder for LateEncoder {
         if let Some((perceptron, norm)) = &self.vector {
             parts.push(norm.forward(&perceptron.forward(&self.vectors.forward(observation)?, true)?)?);
         }
-        if let Some(frames) = &self.frames {
-            parts.push(frames.forward(&observation.frames(&self.images)?, dropout)?);
+        if let Some((layers, norm)) = &self.frames {
+            parts.push(norm.forward(&layers.forward(&observation.frames(&self.images)?, dropout)?)?);
         }
         let joint = self.joint.forward(&Tensor::cat(&parts, 1)?, true, self.arithmetic)?;
         Ok(Posterior(self.posterior.forward(&joint, false, self.arithmetic)?))
@@ -263,11 +279,7 @@ impl Encoder for LateEncoder {
             vectors: self.vectors.detached(),
             images: self.images.clone(),
             vector: self.vector.as_ref().map(|(perceptron, norm)| (perceptron.detached(), norm.detached())),
-            frames: self.frames.as_ref().map(|frames| LateFrames {
-                input: frames.input.detached(),
-                bias: frames.bias.detach(),
-                norm: frames.norm.detached(),
-            }),
+            frames: self.frames.as_ref().map(|(layers, norm)| (layers.detached(), norm.detached())),
             joint: self.joint.detached(),
             posterior: self.posterior.detached(),
             arithmetic: self.arithmetic,
@@ -283,10 +295,8 @@ impl Encoder for LateEncoder {
             layers.push(norm.layer("vector_norm", &layers[layers.len() - 1].name)?);
             parts.push("vector_norm");
         }
-        if let Some(LateFrames { input, bias, norm }) = &self.frames {
-            layers.extend(input.layers());
-            let dense = Dense { weight: input.weight.clone(), bias: bias.clone() };
-            layers.push(dense.layer("frame", FLAT, true)?);
+        if let Some((of_frames, norm)) = &self.frames {
+            layers.extend(of_frames.layers()?);
             layers.push(norm.layer("frame_norm", "frame")?);
             parts.push("frame_norm");
         }
@@ -316,8 +326,7 @@ struct VectorExpert {
 /// The layers of all images in a [`ProductEncoder`].
 struct ImageExpert {
     images: Vec<Modality>,
-    input: FrameInput,
-    bias: Tensor,
+    frames: FrameLayers,
     layers: Perceptron,
 }
 
@@ -340,10 +349,9 @@ impl ProductEncoder {
         };
         let vectors = vectors.into_iter().map(&mut expert).collect::<Result<_>>()?;
         let mut expert = |images: Vec<Modality>| {
-            let input = frame_input(architecture, &images, "frame.weight", hidden[0], builder)?;
-            let bias = builder.uniform("frame.bias", &[hidden[0]], input.stack.coarse_len())?;
+            let frames = FrameLayers::new(architecture, &images, hidden[0], builder)?;
             let layers = builder.perceptron("expert_images", &[hidden, &[2 * latent]].concat())?;
-            Ok::<_, candle_core::Error>(ImageExpert { images, input, bias, layers })
+            Ok::<_, candle_core::Error>(ImageExpert { images, frames, layers })
         };
         let images = (!images.is_empty()).then(|| expert(images)).transpose()?;
         Ok(Self { vectors, images, latent })
@@ -358,8 +366,8 @@ impl Encoder for ProductEncoder {
             let kept = observation.kept(&[*modality], posterior.device())?;
             experts.push(Expert { posterior: Posterior(posterior), kept });
         }
-        if let Some(ImageExpert { images, input, bias, layers }) = &self.images {
-            let hidden = input.forward(&observation.frames(images)?, dropout)?.broadcast_add(bias)?.relu()?;
+        if let Some(ImageExpert { images, frames, layers }) = &self.images {
+            let hidden = frames.forward(&observation.frames(images)?, dropout)?;
             let posterior = layers.forward(&hidden, false)?;
             let kept = observation.kept(images, posterior.device())?;
             experts.push(Expert { posterior: Posterior(posterior), kept });
@@ -378,8 +386,7 @@ impl Encoder for ProductEncoder {
         });
         let images = self.images.as_ref().map(|expert| ImageExpert {
             images: expert.images.clone(),
-            input: expert.input.detached(),
-            bias: expert.bias.detach(),
+            frames: expert.frames.detached(),
             layers: expert.layers.detached(),
         });
         Box::new(Self { vectors: vectors.collect(), images, latent: self.latent })
@@ -393,10 +400,8 @@ impl Encoder for ProductEncoder {
             layers.extend(expert.layers.layers(&input, false)?);
             experts.push(layers[layers.len() - 1].name.clone());
         }
-        if let Some(ImageExpert { input, bias, layers: of_images, .. }) = &self.images {
-            layers.extend(input.layers());
-            let dense = Dense { weight: input.weight.clone(), bias: bias.clone() };
-            layers.push(dense.layer("frame", FLAT, true)?);
+        if let Some(ImageExpert { frames, layers: of_images, .. }) = &self.images {
+            layers.extend(frames.layers()?);
             layers.extend(of_images.layers("frame", false)?);
             experts.push(layers[layers.len() - 1].name.clone());
         }
