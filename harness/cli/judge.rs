@@ -14,12 +14,13 @@ use harness::experiment::{
 };
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord, quoted};
-use harness::simulation::{Knowledge, PositionError, SimulationError};
+use harness::simulation::{Knowledge, PositionError, Scene, SimulationError};
 use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality, World};
 use harness::tables::{PREDICTED_COLUMNS, TableError, read_predicted};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 /// What stands for the predictions of the simulator itself, and the usual name of that model.
 const SIMULATOR: &str = "simulator";
@@ -193,7 +194,8 @@ impl Known {
     fn predictions(self) -> Result<Predictions> {
         if let Some(world) = &self.world {
             let factors = self.factors.into_iter().collect();
-            return Ok(Predictions::Replayed(Replay { world: World::find(world)?, factors }));
+            let scene = Scene::new(World::find(world)?).map_err(ExperimentError::from)?;
+            return Ok(Predictions::Replayed(Replay { scene: Arc::new(scene), factors }));
         }
         let restarts = self.restarts.map_or(if self.errors.is_empty() { 1 } else { 16 }, usize::from);
         let Self { errors, without, at_rest, .. } = self;

@@ -7,7 +7,7 @@ use harness_samples::{FramePlace, Normalizers, Sample, Samples};
 use harness_shared::progress::{Progress, Silent};
 use harness_simulation::{FactorValues, Knowledge, Scene, SimulatedOn, follow_setpoints, simulate_on};
 use harness_spec::{
-    Action, Element, Episode, Layout, Modality, RunSpec, Scale, Scaling, Scalings, Split, Window, World,
+    Action, Element, Episode, Layout, Modality, RunSpec, Scale, Scaling, Scalings, Split, Window,
 };
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -166,10 +166,10 @@ fn simulate_from(
 
 /// A world whose actuators repeat the setpoints of recorded episodes, from the start of each. Nothing else of a recording
 /// is used.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Replay {
-    /// The world.
-    pub world: Arc<World>,
+    /// The scene of the world.
+    pub scene: Arc<Scene>,
     /// The values of its factors of variation. Those that are not named have no effect.
     pub factors: BTreeMap<String, f64>,
 }
@@ -216,11 +216,11 @@ impl Replay {
         places: &BTreeSet<usize>,
         progress: &dyn Progress,
     ) -> Result<(BTreeMap<usize, Episode>, Vec<Columns>), ExperimentError> {
-        let scene = Scene::new(self.world.clone())?;
-        let factors = FactorValues::given(&scene, &self.factors)?;
-        let setpoint = setpoint_columns(&scene, samples.layout(), dataset)?;
+        let scene = &*self.scene;
+        let factors = FactorValues::given(scene, &self.factors)?;
+        let setpoint = setpoint_columns(scene, samples.layout(), dataset)?;
         let of_output = |modality: &Modality| {
-            Ok((*modality, output_columns(&scene, samples.layout(), *modality, dataset)?))
+            Ok((*modality, output_columns(scene, samples.layout(), *modality, dataset)?))
         };
         let outputs = outputs.iter().map(of_output).collect::<Result<_, SimulatorError>>()?;
         progress.begin("simulating", places.len() as u64, "episodes");
@@ -234,7 +234,7 @@ impl Replay {
             let recorded = samples.setpoints()[range.start * width..range.end * width].chunks_exact(width);
             let setpoints: Vec<f64> =
                 recorded.flat_map(|all| setpoint.iter().map(|column| f64::from(all[*column]))).collect();
-            let episode = follow_setpoints(&scene, rate, *place as u32, &factors, &setpoints)?;
+            let episode = follow_setpoints(scene, rate, *place as u32, &factors, &setpoints)?;
             progress.advance(1);
             Ok((*place, episode))
         };

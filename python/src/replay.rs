@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// The compiled part of `harness.fitting.fit_world`.
 #[pyclass(frozen, module = "harness._harness")]
 pub struct Replays {
-    world: Arc<World>,
+    scene: Arc<Scene>,
     fitted_to: FittedTo,
 }
 
@@ -29,22 +29,21 @@ impl Replays {
         world: &str,
         outputs: Vec<String>,
     ) -> PyResult<Self> {
-        let world = World::find(world).map_err(Raise::raise)?;
+        let scene = Arc::new(Scene::new(World::find(world).map_err(Raise::raise)?).map_err(Raise::raise)?);
         let dataset = AnyDataset::named(&datasets, dataset).map_err(Raise::raise)?;
         let outputs: Vec<&str> = outputs.iter().map(String::as_str).collect();
         let fitted_to = py.detach(|| FittedTo::open(&dataset, &outputs)).map_err(Raise::raise)?;
-        Ok(Self { world, fitted_to })
+        Ok(Self { scene, fitted_to })
     }
 
     /// Returns the lowest and the highest value of each factor of variation of the world.
-    fn ranges(&self) -> PyResult<BTreeMap<String, [f64; 2]>> {
-        let scene = Scene::new(self.world.clone()).map_err(Raise::raise)?;
-        Ok(scene.factor_ranges().map(|(name, range)| (name.to_owned(), range)).collect())
+    fn ranges(&self) -> BTreeMap<String, [f64; 2]> {
+        self.scene.factor_ranges().map(|(name, range)| (name.to_owned(), range)).collect()
     }
 
     /// Returns the errors of all values of the training episodes with these factors, in standard deviations.
     fn errors<'py>(&self, py: Python<'py>, factors: BTreeMap<String, f64>) -> PyResult<Bound<'py, PyAny>> {
-        let replay = Replay { world: self.world.clone(), factors };
+        let replay = Replay { scene: self.scene.clone(), factors };
         let errors = py.detach(|| self.fitted_to.errors(&replay)).map_err(Raise::raise)?;
         let count = errors.len();
         array(py, errors, &[count])
