@@ -441,7 +441,8 @@ mod tests {
     #[test]
     fn the_checks_know_every_keyword_of_the_schema() {
         const ANNOTATIONS: &[&str] = &["$schema", "title", "description", "default", "format"];
-        // `pattern` stands for the name's rule in `validate` and for `Origin`'s.
+        // `pattern` stands for the name's rule in `validate` and for `Origin`'s, and `if` with `then` for the rule
+        // of a mapping that a modality has columns or a label.
         const CHECKED: &[&str] = &[
             "$defs",
             "$ref",
@@ -464,6 +465,8 @@ mod tests {
             "oneOf",
             "const",
             "pattern",
+            "if",
+            "then",
         ];
         fn visit(schema: &Json) {
             for (keyword, value) in schema.as_object().unwrap() {
