@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "fit_world"]
 
 
+STEP = 0.01
+"""The step of finite differences, in parts of a factor. With contacts, errors change irregularly over much smaller steps."""
+
+
 class Fit(NamedTuple):
     """Factors of a world that were fitted to a recording."""
 
@@ -79,7 +83,7 @@ def fit_world(
         return np.stack([errors(outer(point)) for point in points.T], axis=1)
 
     fitted, _ = minimize.least_squares(
-        inner(start), residuals, bounds=[inner(low), inner(high)], eps=1e-4, verbose=minimize.Verbosity.SILENT
+        inner(start), residuals, bounds=[inner(low), inner(high)], eps=STEP, verbose=minimize.Verbosity.SILENT
     )
     values = outer(np.asarray(fitted).ravel())
     at_bounds = np.isclose(values, low, rtol=1e-3) | np.isclose(values, high, rtol=1e-3)
