@@ -7,9 +7,11 @@ use super::table::shown;
 use anyhow::Result;
 use clap::Args;
 use harness::dataset::AnyDataset;
+use harness::experiment::recording_notes;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::report::Asked;
+use harness::samples::FramePlace;
 use harness::{claims, report};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -49,7 +51,15 @@ impl Report {
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
         let progress = Bars::default();
         let page = match &self.dataset {
-            Some(name) => report::dataset_page(&AnyDataset::named(&registry.datasets(), name)?, &progress)?,
+            Some(name) => {
+                let dataset = AnyDataset::named(&registry.datasets(), name)?;
+                let samples = dataset.load(FramePlace::Nowhere, &progress)?;
+                let notes = match &dataset {
+                    AnyDataset::Imported(_) => recording_notes(&samples)?.1,
+                    AnyDataset::Simulated(_) => Vec::new(),
+                };
+                report::dataset_page(&dataset, &samples, notes)?
+            }
             None => {
                 let claims = claims::load(&self.claims)?;
                 registry.check_there()?;

@@ -3,10 +3,8 @@
 use super::ExperimentError;
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
-use harness_registry::dataset::{AnyDataset, Imported};
-use harness_samples::{FramePlace, Normalizers, Partition, Sample, Samples};
+use harness_samples::{Normalizers, Partition, Sample, Samples};
 use harness_shared::numbers::{counted, first_few};
-use harness_shared::progress::Silent;
 use harness_spec::{
     Action, Definition, Division, Label, LabelKind, Modality, Part, Scale, Scaling, Scalings, Split, Task,
     Window,
@@ -14,7 +12,6 @@ use harness_spec::{
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::path::Path;
 
 /// The R2 of a ridge regression above which the setpoint alone tells an output.
 const TOLD: f64 = 0.99;
@@ -32,21 +29,19 @@ const GOES_WITH: (f64, f64) = (0.5, 0.01);
 /// The share of test samples beyond the range that is told.
 const OFTEN: f64 = 0.05;
 
-/// Says how runs divide an imported dataset unless they ask for another split, and what may be wrong with it, in
-/// sentences. All its vectors count as outputs.
+/// Says how runs divide a recording unless they ask for another split, and what may be wrong with it, in sentences. All
+/// its vectors count as outputs.
 ///
 /// # Errors
-/// When the dataset can't be read.
-pub fn recording_notes(datasets: &Path, name: &str) -> Result<(String, Vec<String>), ExperimentError> {
-    let dataset = AnyDataset::Imported(Imported::open(datasets, name)?);
-    let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
+/// When a value is not finite.
+pub fn recording_notes(samples: &Samples) -> Result<(String, Vec<String>), ExperimentError> {
     let vectors = samples.layout().stored_vectors().map(|definition| definition.name);
     let output: Vec<Modality> = vectors.filter(|name| name.is_sensed()).collect();
     let (split, window) = (samples.labels().split(&Split::default()), Window::TRANSITION);
-    let told = divided(&samples, &split);
+    let told = divided(samples, &split);
     let told = told.unwrap_or_else(|| format!("runs that ask for no other split divide by {}", split.by));
     let notes = match samples.partition(&split, &window) {
-        Some(partition) => notes(&samples, &output, &output, &partition, &split, &window)?,
+        Some(partition) => notes(samples, &output, &output, &partition, &split, &window)?,
         None => vec!["this split leaves no training samples; runs must ask for another one".to_owned()],
     };
     Ok((told, notes))
@@ -150,7 +145,7 @@ fn beyond_range(samples: &Samples, modality: Modality, partition: &Partition) ->
     let share = partition.test.iter().filter(has_beyond).count() as f64 / partition.test.len().max(1) as f64;
     (share > OFTEN).then(|| {
         format!(
-            "{modality} is beyond its range in the training in {:.0} % of the test samples, where no model has learned",
+            "in {:.0} % of the test samples, {modality} is beyond its range in the training, where no model has learned",
             100.0 * share
         )
     })
@@ -172,9 +167,9 @@ fn missing_categories(samples: &Samples, definition: &Definition, partition: &Pa
     let missing: Vec<&str> = missing.map(|(element, _)| element.name.as_str()).collect();
     (!missing.is_empty()).then(|| {
         format!(
-            "{}: the training has no {}, which the test has, so no model can learn to predict it",
-            definition.name,
-            first_few(&missing, NAMES_SHOWN)
+            "the training has no {} of {}, which the test has, so no model can learn to predict it",
+            first_few(&missing, NAMES_SHOWN),
+            definition.name
         )
     })
 }

@@ -3,10 +3,9 @@
 use super::{ReportError, STYLE, rendered, style_policy};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use harness_registry::dataset::AnyDataset;
-use harness_samples::{FramePlace, Sample, Samples};
+use harness_registry::dataset::{AnyDataset, ImportReport};
+use harness_samples::{Sample, Samples};
 use harness_shared::numbers::rounded;
-use harness_shared::progress::Progress;
 use harness_spec::{Definition, IMAGE_CHANNELS, Modality, Split, Window};
 use image::imageops::{FilterType, resize};
 use image::{ImageFormat, RgbImage};
@@ -46,6 +45,10 @@ struct Page {
     facts: Vec<(&'static str, String)>,
     /// What may make a result misleading.
     remarks: Vec<String>,
+    /// What an import left out or changed.
+    cleaned: Vec<String>,
+    /// The times of an import's streams, as a table with its head.
+    streams: Vec<Vec<String>>,
     parts: Vec<OfPart>,
     labels: Vec<Label>,
     modalities: Vec<OfModality>,
@@ -73,6 +76,8 @@ struct Label {
 struct OfModality {
     name: String,
     unit: String,
+    /// Where an import has it from.
+    source: Option<String>,
     /// The names of the elements that are drawn.
     drawn: Vec<String>,
     courses: Vec<Course>,
@@ -116,6 +121,8 @@ struct Relation {
 #[derive(Serialize)]
 struct Images {
     name: String,
+    /// Where an import has them from.
+    source: Option<String>,
     episode: usize,
     width: u32,
     height: u32,
@@ -123,29 +130,39 @@ struct Images {
     pictures: Vec<(String, String)>,
 }
 
-/// Makes the page of a dataset and returns it as an HTML document. Parts are those of the dataset's own split.
+/// Makes the page of a dataset and returns it as an HTML document. Parts are those of the dataset's own split. The notes
+/// are what may make a result misleading, in sentences.
 ///
 /// # Errors
 /// When an episode is missing or damaged, or a picture can't be encoded.
-pub fn dataset_page(dataset: &AnyDataset, progress: &dyn Progress) -> Result<String, ReportError> {
-    let samples = dataset.load(FramePlace::Nowhere, progress)?;
+pub fn dataset_page(
+    dataset: &AnyDataset,
+    samples: &Samples,
+    notes: Vec<String>,
+) -> Result<String, ReportError> {
     let split = samples.split(&Split::default());
-    let parts = parts(&samples, &split);
+    let parts = parts(samples, &split);
+    let import = match dataset {
+        AnyDataset::Imported(imported) => imported.report().clone(),
+        AnyDataset::Simulated(_) => ImportReport::default(),
+    };
     let vectors: Vec<&Definition> =
         samples.layout().modalities.iter().filter(|definition| !definition.is_image()).collect();
     let modalities: Vec<OfModality> =
-        vectors.iter().map(|definition| of_modality(&samples, definition, &parts)).collect();
+        vectors.iter().map(|definition| of_modality(samples, definition, &parts, &import)).collect();
     let page = Page {
         style: &STYLE,
         policy: style_policy(),
         name: dataset.name().to_owned(),
-        facts: facts(dataset, &samples, &split),
-        remarks: remarks(&modalities, &parts),
-        labels: labels(&samples, &parts),
-        relations: relations(&samples, &vectors, &parts[0]),
-        images: images(dataset)?,
-        parts: PARTS.into_iter().zip(&parts).map(|(name, at)| of_part(name, &samples, at)).collect(),
+        facts: facts(dataset, samples, &split),
+        remarks: remarks(&modalities, &parts).into_iter().chain(notes).collect(),
+        labels: labels(samples, &parts),
+        relations: relations(samples, &vectors, &parts[0]),
+        images: images(dataset, &import)?,
+        parts: PARTS.into_iter().zip(&parts).map(|(name, at)| of_part(name, samples, at)).collect(),
         modalities,
+        streams: import.streams,
+        cleaned: import.cleaned,
     };
     Ok(rendered("dataset.html", TEMPLATE, &page)?)
 }
@@ -185,13 +202,11 @@ fn facts(dataset: &AnyDataset, samples: &Samples, split: &Split) -> Vec<(&'stati
     ]
 }
 
-/// What may make a result misleading: elements that do not change, tests outside of the training range, too little data.
+/// What may make a result misleading: elements that do not change, and too little data.
 fn remarks(modalities: &[OfModality], parts: &[Vec<Sample>; 3]) -> Vec<String> {
     let mut found = Vec::new();
     if parts[2].is_empty() {
-        found.push(
-            "There is too little data for a training, a validation and a test part by this split.".to_owned(),
-        );
+        found.push("too little data for a training, a validation and a test part by this split".to_owned());
     }
     for modality in modalities {
         let constant = |one: &&OfElement| one.parts[0].as_ref().is_some_and(|[_, _, low, high]| low == high);
@@ -199,17 +214,10 @@ fn remarks(modalities: &[OfModality], parts: &[Vec<Sample>; 3]) -> Vec<String> {
             modality.elements.iter().filter(constant).map(|one| one.name.as_str()).collect();
         if !names.is_empty() {
             found.push(format!(
-                "In {}, {} the same in all training samples: {}.",
-                modality.name,
-                if names.len() == 1 { "one element is" } else { "some elements are" },
-                names.join(", ")
+                "{} the same in all training samples: {}",
+                if names.len() == 1 { "an element is" } else { "some elements are" },
+                names.iter().map(|name| format!("{}[{name}]", modality.name)).collect::<Vec<_>>().join(", ")
             ));
-        }
-        let is_far = |one: &&OfElement| one.outside.parse::<f64>().is_ok_and(|share| share >= 5.0);
-        let names: Vec<&str> = modality.elements.iter().filter(is_far).map(|one| one.name.as_str()).collect();
-        if !names.is_empty() {
-            found.push(format!("In {}, at least 5 % of the test samples are outside of the range of the training samples: {}.",
-                modality.name, names.join(", ")));
         }
     }
     found
@@ -241,7 +249,12 @@ fn evenly(count: usize, most: usize) -> Vec<usize> {
     (0..most.min(count)).map(|index| index * count / most.min(count)).collect()
 }
 
-fn of_modality(samples: &Samples, definition: &Definition, parts: &[Vec<Sample>; 3]) -> OfModality {
+fn of_modality(
+    samples: &Samples,
+    definition: &Definition,
+    parts: &[Vec<Sample>; 3],
+    import: &ImportReport,
+) -> OfModality {
     let elements = definition.elements();
     let chosen = evenly(elements.len(), LINES);
     let episodes: Vec<(usize, &Range<usize>)> = evenly(samples.episodes().len(), EPISODES)
@@ -270,6 +283,7 @@ fn of_modality(samples: &Samples, definition: &Definition, parts: &[Vec<Sample>;
         .collect();
     OfModality {
         name: definition.name.to_string(),
+        source: import.sources.get(definition.name.name()).cloned(),
         unit: units.into_iter().collect::<Vec<_>>().join(", "),
         drawn: chosen.iter().map(|element| elements[*element].name.clone()).collect(),
         courses: episodes.into_iter().map(course).collect(),
@@ -422,7 +436,7 @@ fn correlation(
 }
 
 /// Some images of an episode in the middle of the dataset.
-fn images(dataset: &AnyDataset) -> Result<Vec<Images>, ReportError> {
+fn images(dataset: &AnyDataset, import: &ImportReport) -> Result<Vec<Images>, ReportError> {
     let layout = dataset.layout().clone();
     let stored: Vec<&Definition> =
         layout.modalities.iter().filter(|one| one.is_image() && one.difference_of.is_none()).collect();
@@ -431,7 +445,11 @@ fn images(dataset: &AnyDataset) -> Result<Vec<Images>, ReportError> {
         return Ok(Vec::new());
     }
     let samples = dataset.load_episode(episode)?;
-    stored.into_iter().map(|definition| strip(&samples, definition, episode as usize)).collect()
+    let strip = |definition: &Definition| {
+        let source = import.sources.get(definition.name.name()).cloned();
+        Ok(Images { source, ..strip(&samples, definition, episode as usize)? })
+    };
+    stored.into_iter().map(strip).collect()
 }
 
 fn strip(samples: &Samples, definition: &Definition, episode: usize) -> Result<Images, ReportError> {
@@ -451,5 +469,5 @@ fn strip(samples: &Samples, definition: &Definition, episode: usize) -> Result<I
         Ok::<_, image::ImageError>((rounded(sample as f64 / rate), BASE64.encode(png.into_inner())))
     };
     let pictures = evenly(samples.len(), most).into_iter().map(picture).collect::<Result<_, _>>()?;
-    Ok(Images { name: definition.name.to_string(), episode, width, height, pictures })
+    Ok(Images { name: definition.name.to_string(), source: None, episode, width, height, pictures })
 }

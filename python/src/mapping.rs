@@ -1,6 +1,9 @@
 //! The Python function that reads the mappings of `harness.importing`.
 
 use crate::errors::Raise;
+use harness::dataset::{AnyDataset, Imported};
+use harness::progress::Silent;
+use harness::samples::FramePlace;
 use harness::{experiment, spec};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -24,5 +27,10 @@ pub fn read_mapping(path: PathBuf) -> PyResult<String> {
 /// Raises OSError if the dataset can't be read.
 #[pyfunction]
 pub fn recording_notes(py: Python, datasets: PathBuf, name: &str) -> PyResult<(String, Vec<String>)> {
-    py.detach(|| experiment::recording_notes(&datasets, name)).map_err(Raise::raise)
+    py.detach(|| {
+        let dataset = Imported::open(&datasets, name).map_err(Raise::raise)?;
+        let samples =
+            AnyDataset::Imported(dataset).load(FramePlace::Nowhere, &Silent).map_err(Raise::raise)?;
+        experiment::recording_notes(&samples).map_err(Raise::raise)
+    })
 }

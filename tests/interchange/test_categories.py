@@ -221,7 +221,7 @@ def test_a_category_that_the_training_lacks_is_told_and_folds_are_those_of_sciki
     told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     text = " ".join((told.stdout + told.stderr).split())
     for name in (*NAMES, "can"):
-        assert f"object: the training has no {name}, which the test has, so no model can learn to predict it" in text
+        assert f"the training has no {name} of object, which the test has, so no model can learn to predict it" in text
     assert "is not defined" not in text and "object is beyond" not in text
     results = tmp_path / "results"
     labels = harness.query("select episode, object, count(*) as n from episodes group by all order by episode", results)

@@ -27,8 +27,8 @@ def imported(folder: Path, log: dict | None = None, **keys) -> tuple[list[pl.Dat
     mapping |= {"streams": {"log": LOG | (log or {})}, "modalities": X} | keys
     (folder / "lab.yaml").write_text(json.dumps(mapping))
     done = run_import(folder / "lab.yaml", folder / "results", progress=False)
-    page = done.page.read_text()
-    assert all(line.split(": ")[0] in page for line in done.cleaned)
+    description = json.loads((folder / "results/datasets" / done.name / "dataset.json").read_text())
+    assert description["import"]["cleaned"] == done.cleaned
     paths = sorted((folder / "results/datasets" / done.name).glob("episode_*.parquet"))
     return [pl.read_parquet(path) for path in paths], done.cleaned
 

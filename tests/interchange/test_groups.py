@@ -147,7 +147,7 @@ def test_the_import_tells_the_split_and_what_may_be_wrong(tmp_path):
         dataset = import_dataset(one / "long.yaml", one / "results", progress=False)
     text = "\n".join(str(each.message) for each in told)
     assert "all episodes are of one trial" in text
-    assert "y is beyond its range in the training in 50 % of the test samples" in text
+    assert "in 50 % of the test samples, y is beyond its range in the training" in text
     # Two episodes of 70 s, and a rest of 10 s, in which two gaps of 5 s leave nothing.
     assert "1 episode with 200 samples are left out, because they are too short for a split by time" in text
     task = harness.task(dataset=dataset, inputs="x", outputs="y", results=one / "results")

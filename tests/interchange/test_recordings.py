@@ -1,7 +1,5 @@
 """Recordings of streams, written by other libraries, as datasets of the harness."""
 
-import base64
-import io
 import json
 import os
 import re
@@ -679,28 +677,12 @@ def test_the_command_refuses_with_one_message(words, message):
     assert answer.returncode in (1, 2) and message in answer.stderr and "Traceback" not in answer.stderr
 
 
-def test_the_page_shows_every_modality_and_needs_no_network(recording, harness):
+def test_a_dataset_says_what_its_page_shows_of_the_import(recording, harness):
     name = import_dataset(recording / "ros2.yaml", harness.results, progress=False)
-    page = (harness.results / "imports" / f"{name}.html").read_text()
-    # Three episodes of three vectors, and the times of four streams.
-    assert page.count("<svg ") == 3 * 3 + 4
-    assert page.count('src="data:image/png;base64,') == 3 * 8
-    for modality in ("setpoint", "angles", "force", "vision"):
-        assert f"<h2>{modality} " in page
-    assert not re.search(r"(src|href)=.(?!data:)|https?:|@import|<script", page)
-    assert "6 episodes, 474 samples at 10 Hz" in page
-    frame = np.frombuffer(read_episodes(harness.results, name)[0]["vision"][0], np.uint8).reshape(64, 64, 3)
-    (first, *_) = re.findall(r"data:image/png;base64,([^\"]+)", page)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(first)))), frame)
-
-
-def test_the_page_tells_what_never_changes(tmp_path):
-    three_trials(tmp_path, **FAST)
-    imported(tmp_path, format="csv", modalities=TWO | {"both": ["slow.u", "fast.x"]}, streams=STREAMS)
-    (page,) = (tmp_path / "results/imports").iterdir()
-    text = page.read_text()
-    assert "All elements have the same value at all samples." in text
-    assert "The elements 0 have the same value at all samples." in text
+    report = json.loads((harness.results / "datasets" / name / "dataset.json").read_text())["import"]
+    assert set(report["sources"]) == {"setpoint", "angles", "force", "vision"} and report["cleaned"] == []
+    head, *rows = report["streams"]
+    assert head[0] == "stream" and len(rows) == 4 and all(len(row) == len(head) for row in rows)
 
 
 def test_the_commands_of_the_tutorial_work_as_it_shows_them(tmp_path):

@@ -57,10 +57,12 @@ def test_the_page_says_what_was_recorded(place: Place) -> None:
     ramp, *_, outside = cells(page, "ramp (V)")
     deviation = np.sqrt((80**2 - 1) / 12)
     assert ramp == f"39.50 ± {deviation:.2f}, 0 to 79.00" and outside == "0.0"
-    assert "In wires, one element is the same in all training samples: broken." in page
+    assert "an element is the same in all training samples: wires[broken]" in page
     (relation,) = re.findall(r"<td>bend</td><td>pad</td><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert float(relation[1]) == LAG / 10 and float(relation[2]) > 0.999 > float(relation[0])
     assert page == page_of(place, "squeeze")
+    # What the import said.
+    assert [cell.strip() for cell in cells(page, "all")[:2]] == ["1280", "10 Hz"] and "V from all.bend" in page
 
 
 def test_a_wrong_name_ends_in_one_message_without_a_page(place: Place, tmp_path: Path) -> None:

@@ -96,6 +96,22 @@ impl Description {
         let described = self.is_current() && named_by_hash(own_name, identity) == name;
         serde_json::from_value(content.clone()).ok().filter(|_| described)
     }
+
+    /// Returns what the import says of itself.
+    pub fn import_report(&self) -> ImportReport {
+        ImportReport::deserialize(&self.0["import"]).unwrap_or_default()
+    }
+}
+
+/// What an import says of itself in `dataset.json`, for people. Datasets of earlier versions say nothing.
+#[derive(Debug, Clone, Default, Deserialize)]
+pub struct ImportReport {
+    /// Where each modality is from.
+    pub sources: BTreeMap<String, String>,
+    /// The times of the streams, as a table with its head.
+    pub streams: Vec<Vec<String>>,
+    /// What was left out or changed, with how much.
+    pub cleaned: Vec<String>,
 }
 
 /// Returns the layout of the samples of the dataset in a folder. The dataset can be simulated or imported.

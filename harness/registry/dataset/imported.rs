@@ -1,7 +1,7 @@
 //! Imported datasets, which were recorded elsewhere. They are read like simulated datasets, but can't be collected.
 
 use super::DatasetError;
-use super::description::{Content, Description};
+use super::description::{Content, Description, ImportReport};
 use super::episode_file::{episode_file, read_episode};
 use harness_samples::{Labels, Recording};
 use harness_shared::numbers::counted;
@@ -16,6 +16,7 @@ pub struct Imported {
     name: String,
     layout: Arc<Layout>,
     content: Content,
+    report: ImportReport,
 }
 
 impl Imported {
@@ -29,7 +30,13 @@ impl Imported {
         let description = Description::read(&folder).map_err(damaged)?;
         let content =
             description.imported(name).ok_or_else(|| damaged("it does not describe this dataset".into()))?;
-        Ok(Self { folder, name: name.to_owned(), layout: content.layout(), content })
+        let (layout, report) = (content.layout(), description.import_report());
+        Ok(Self { folder, name: name.to_owned(), layout, content, report })
+    }
+
+    /// Returns what the import says of itself.
+    pub fn report(&self) -> &ImportReport {
+        &self.report
     }
 
     /// Returns the dataset's folder.

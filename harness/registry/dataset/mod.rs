@@ -10,7 +10,7 @@ mod verify;
 mod version;
 
 pub use any::AnyDataset;
-pub use description::{MODEL, layout_of};
+pub use description::{ImportReport, MODEL, layout_of};
 pub use imported::Imported;
 pub use store::{CompiledModel, Dataset};
 pub use verify::{Inspection, inspect, is_lock};

@@ -39,8 +39,8 @@ So has parquet, if the mapping has `streams`:
       setpoint: joints.position
       force: {from: force.wrench.force, unit: N}
 
-docs/exchange.md describes their keys. The import also writes a page with plots of every modality, and
-`harness import --inspect FILE` writes a first mapping.
+docs/exchange.md describes their keys. `harness import --inspect FILE` writes a first mapping, and
+`harness report --dataset NAME` a page with every modality of the dataset.
 
 `source` is relative to the mapping's folder. `modalities` must have `setpoint` and at least one other. `setpoint: none`
 is a recording without commands, whose models get no action. Vectors may have any width. The names of the finger's
@@ -78,7 +78,6 @@ except ImportError as error:
 from .conversion import episode_of
 from .lerobot import open_lerobot
 from .mapping import Mapping, MappingError
-from .page import Sketch, write_page
 from .parquet import open_parquet
 from .recording import Recording, open_streams
 from .writing import write_dataset
@@ -94,7 +93,7 @@ def import_dataset(
     Args:
         mapping: the YAML file that says what to import; see `harness.importing`.
         results: the folder of datasets and runs. The dataset is written to `datasets` in it, unless it is there
-            already, and a page with plots to `imports`.
+            already.
         progress: shows a progress bar on stderr.
 
     Returns:
@@ -133,8 +132,6 @@ class Import:
     """The dataset's name."""
     recording: Recording
     """The recording, whose episodes are read."""
-    page: Path
-    """The page with plots."""
     split: str
     """How runs divide the dataset, in a sentence."""
     notes: list[str]
@@ -150,13 +147,10 @@ def run_import(path: Path, results: Path, progress: bool) -> Import:
         recording = _open(mapping, progress)
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from None
-    sketch = Sketch.of(recording)
-    episodes = _episodes(path, mapping, recording, sketch, progress)
+    episodes = _episodes(path, mapping, recording, progress)
     name = write_dataset(mapping, recording, episodes, results, progress)
-    page = results / "imports" / f"{name}.html"
     split, notes = _harness.recording_notes(results / "datasets", name)
-    write_page(page, name, mapping, recording, sketch, [split, *notes])
-    return Import(name, recording, page, split, notes, mapping.counts.lines)
+    return Import(name, recording, split, notes, mapping.counts.lines)
 
 
 def _open(mapping: Mapping, progress: bool) -> Recording:
@@ -165,7 +159,7 @@ def _open(mapping: Mapping, progress: bool) -> Recording:
     return open_parquet(mapping, mapping.rows) if mapping.rows else open_lerobot(mapping)
 
 
-def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch, progress: bool) -> Iterator[Episode]:
+def _episodes(path: Path, mapping: Mapping, recording: Recording, progress: bool) -> Iterator[Episode]:
     """Yields the episodes of a recording. Shows how many are done."""
     count = 0
     bar = tqdm(
@@ -188,7 +182,6 @@ def _episodes(path: Path, mapping: Mapping, recording: Recording, sketch: Sketch
                     continue
                 count += 1
                 episode.labels.update(labels)
-                sketch.add(episode, place)
                 yield episode
         if count == 0:
             raise MappingError("; ".join(["no episode was found", *mapping.counts.lines]))

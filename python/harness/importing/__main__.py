@@ -12,7 +12,7 @@ import polars as pl
 from harness import _harness
 from harness.importing import lag, run_import
 from harness.importing.inspection import first_mapping, inspect
-from harness.importing.recording import table
+from harness.importing.recording import aligned, times
 
 EXAMPLES = """examples:
   harness import mapping.yaml
@@ -75,15 +75,17 @@ def main(words: list[str] | None = None) -> int:
 
 def _import(mapping: Path, results: Path) -> None:
     done = run_import(mapping, results, progress=True)
-    if done.recording.qualities:
-        print("\n".join(table(done.recording)))
+    if streams := times(done.recording):
+        print("\n".join(aligned([(*row[:5], *row[6:]) for row in streams])))
     if done.cleaned:
         print("\n".join(done.cleaned))
     print(done.split)
     for note in done.notes:
         print(f"warning: {note}", file=sys.stderr)
-    print(f"{done.page}: plots of every modality; open it to see whether the mapping is right")
     print(f"{done.name}: in {results / 'datasets' / done.name}; train on it with 'scenarios=[{done.name}]'")
+    where = [] if results == Path("results") else ["--results", str(results)]
+    command = shlex.join(["harness", "report", "--dataset", done.name, *where])
+    print(f"see every modality, and whether the mapping is right: {command}")
 
 
 def _lag(mapping: Path, terms: tuple[str, str], longest_s: float, output: Path | None) -> None:

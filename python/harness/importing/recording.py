@@ -182,23 +182,24 @@ def _check_equal(take: Take, first: Take, mapping: Mapping) -> None:
             )
 
 
-def table(recording: Recording) -> list[str]:
-    """Returns the lines of a table of the streams: their rates, jitter, gaps and delay."""
-    head = ("stream", "rows", "rate", "jitter", "longest gap", "delay", "transport")
-    rows = [head] + [
+def times(recording: Recording) -> list[tuple[str, ...]]:
+    """Returns a table of the times of streams, with its head; nothing for a recording without streams."""
+    head = ("stream", "rows", "rate", "jitter", "longest gap", "after", "delay", "transport")
+    rows = [
         (
             each.name,
             str(each.rows),
             f"{each.rate_hz:.4g} Hz",
             duration(each.jitter_s),
             duration(each.gap_ns / 1e9),
+            each.gap_at or "-",
             duration(each.delay_s),
             "-" if each.transport_s is None else duration(each.transport_s),
         )
         for each in recording.qualities
         if each.rows
     ]
-    return aligned(rows)
+    return [head, *rows] if rows else []
 
 
 def aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:

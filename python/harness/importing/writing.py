@@ -30,7 +30,7 @@ from harness.recorded import (
 
 from .labels import TRIAL, unified
 from .mapping import KNOWN, Mapping, MappingError
-from .recording import Recording
+from .recording import Recording, times
 
 DESCRIPTION = "dataset.json"
 """The file that describes a dataset."""
@@ -102,11 +102,20 @@ def write_dataset(
                 write_episode(unfinished / file, name, name, episode, layout)
             draft.path.unlink(missing_ok=True)
         if not _is_intact(_read_description, folder / DESCRIPTION, identity):
-            description = json.dumps(identity | {"mapping": mapping.text}, indent=2, allow_nan=False)
+            rest = {"mapping": mapping.text, "import": _report(mapping, recording)}
+            description = json.dumps(identity | rest, indent=2, allow_nan=False)
             (unfinished / DESCRIPTION).write_text(description + "\n", encoding="utf-8")
         folder.parent.mkdir(exist_ok=True)
         _move(unfinished, folder)
     return name
+
+
+def _report(mapping: Mapping, recording: Recording) -> dict[str, Any]:
+    """Returns what the dataset's page shows of the import: where modalities are from, the times of streams, and what was
+    left out or changed."""
+    sources = {name: " + ".join(selection.terms) for name, selection in mapping.selections.items()}
+    sources |= {name: f"the label {each.label}" for name, each in mapping.labeled.items()}
+    return {"sources": sources, "streams": times(recording), "cleaned": mapping.counts.lines}
 
 
 def _is_intact(read: Callable[..., object], *arguments: object) -> bool:
