@@ -150,8 +150,8 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// The same without repeated names of experiments. If there is no name and no run is in a scene of the paper, the
-    /// page is about all experiments in other worlds, because it would have nothing about the paper.
+    /// The same without repeated names of experiments. If there is no name and no experiment of the paper has runs, the
+    /// page is about all others, because it would have nothing about the paper.
     fn resolved(&self, others: &Others) -> Self {
         let mut known = BTreeSet::new();
         let mut experiments: Vec<String> =
@@ -222,34 +222,26 @@ impl Asked {
     }
 }
 
-/// The experiments in other worlds than the paper's scenes.
+/// The experiments that a page without a name does not show, because they do not test the paper's statements.
 struct Others {
-    /// The experiments whose finished runs are all in other worlds.
+    /// Those with finished runs.
     experiments: BTreeSet<String>,
-    /// Whether other finished runs are in a scene of the paper.
+    /// Whether experiments of the paper have finished runs.
     is_beside_the_paper: bool,
 }
 
 impl Others {
-    fn of(registry: &Registry) -> Self {
+    fn of(registry: &Registry, paper: &BTreeSet<String>) -> Self {
         let is_done = |record: &RunRecord| record.status == Status::Done;
-        let (own, others): (Vec<RunRecord>, Vec<RunRecord>) = registry
-            .records()
-            .into_iter()
-            .filter(is_done)
-            .partition(|record| subjects::is_of_the_paper(&record.spec.scenario));
-        let own: BTreeSet<String> = own.into_iter().map(|record| record.experiment).collect();
-        let others = others.into_iter().map(|record| record.experiment);
-        Self {
-            experiments: others.filter(|name| !own.contains(name)).collect(),
-            is_beside_the_paper: !own.is_empty(),
-        }
+        let names = registry.records().into_iter().filter(is_done).map(|record| record.experiment);
+        let (own, experiments): (BTreeSet<String>, _) = names.partition(|name| paper.contains(name));
+        Self { experiments, is_beside_the_paper: !own.is_empty() }
     }
 
-    /// The command that makes the page of these experiments, if there are any.
-    fn command(&self, registry: &Registry) -> Option<String> {
-        let names = quoted(self.experiments.iter().map(String::as_str));
-        (!self.experiments.is_empty()).then(|| registry.command(&format!("report {names}")))
+    /// The commands that make a page of each, if there are any.
+    fn commands(&self, registry: &Registry) -> Vec<String> {
+        let command = |name: &String| registry.command(&format!("report {}", quoted([name.as_str()])));
+        self.experiments.iter().map(command).collect()
     }
 }
 
@@ -271,8 +263,8 @@ struct Page {
     /// Notes about runs that were left out, and about runs whose settings differ.
     remarks: Vec<String>,
     clips: Vec<Part<clips::Clip>>,
-    /// On a page of all results, the command that makes the page of the experiments in other worlds.
-    others: Option<String>,
+    /// On a page of all results, the commands that make pages of the experiments that it does not show.
+    others: Vec<String>,
     /// What the worlds of the asked experiments sense.
     worlds: Vec<modalities::World>,
     /// The metrics of the asked experiments.
@@ -336,7 +328,12 @@ pub fn page(
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<String, ReportError> {
-    let others = Others::of(registry);
+    let spec_of_readings = file.spec_of_readings(registry, asked.quick)?;
+    let of_claims = file.claims.iter().flat_map(|claim| claim.experiments(asked.quick));
+    let of_readings = spec_of_readings.iter().map(|spec| spec.name.clone());
+    let of_figures = Experiments::of_the_paper(asked.quick).all();
+    let paper = of_figures.into_iter().chain(of_claims).chain(of_readings).collect();
+    let others = Others::of(registry, &paper);
     let asked = &asked.resolved(&others);
     let claims = asked.claims(&file.claims);
     let quick = asked.is_quick();
@@ -351,10 +348,7 @@ pub fn page(
     let (subjects, too_many) = subjects::subjects(&source, asked);
     let figures = figures::render(&source, asked, !scenarios.is_empty(), progress)?;
     let is_about_all = asked.experiments.is_empty() && asked.settings.is_empty();
-    let families = match is_about_all {
-        true => file.spec_of_readings(registry, quick)?,
-        false => None,
-    };
+    let families = spec_of_readings.filter(|_| is_about_all);
     let verdicts = verdicts::Verdicts::of(registry, &analysis, &claims, families.as_ref(), quick)?;
     let experiments = runs::experiments(registry, asked);
     let (clips, frames) = clips(&scenarios, &analysis, asked, progress)?;
@@ -380,8 +374,9 @@ pub fn page(
         Part::There(_) => None,
     });
     let absent = undrawn.chain(&joints_absent).chain(&regression_absent).chain(&course_absent);
-    let commands =
-        absent.filter_map(|absent| absent.command.clone()).chain(verdicts.commands.clone()).collect();
+    let commands = absent.filter_map(|absent| absent.command.clone()).chain(verdicts.commands.clone());
+    // No run is added to published results.
+    let commands = commands.filter(|_| !analysis.is_published()).collect();
     let page = Page {
         style: &STYLE,
         script: &SCRIPT,
@@ -409,7 +404,7 @@ pub fn page(
             training: !data.training.is_empty(),
         },
         clips,
-        others: others.command(registry).filter(|_| asked.experiments.is_empty()),
+        others: if asked.experiments.is_empty() { others.commands(registry) } else { Vec::new() },
         worlds: modalities::worlds(&analysis, asked),
         means,
         images,

@@ -21,6 +21,8 @@ pub struct Verdicts {
     contacts: Vec<String>,
     /// The readings that the claims are also judged by.
     readings: Vec<OfReading>,
+    /// Whether there are only runs of readings.
+    is_of_readings: bool,
     /// The commands that make the runs of claims without data.
     #[serde(skip)]
     pub commands: BTreeSet<String>,
@@ -135,13 +137,24 @@ impl Verdicts {
             }
             judged
         };
-        let lacking = all.iter().filter(|judgment| judgment.verdict() == Verdict::NoData);
-        let lacking: BTreeSet<&String> = lacking.flat_map(|judgment| &judgment.claim.experiments).collect();
+        let lacking: Vec<&Judgment> =
+            all.iter().copied().filter(|judgment| judgment.verdict() == Verdict::NoData).collect();
+        let readings = families.as_ref().map(Families::counted).unwrap_or_default();
+        let is_of_readings = lacking.len() == all.len() && !readings.is_empty();
+        let mut claims: Vec<Judged> = claims.iter().zip(&judged).map(in_words).collect();
+        if is_of_readings {
+            claims.retain(|claim| claim.judgments.iter().any(|words| !words.others.is_empty()));
+        }
+        let lacking: BTreeSet<&String> = match is_of_readings {
+            true => BTreeSet::new(),
+            false => lacking.iter().flat_map(|judgment| &judgment.claim.experiments).collect(),
+        };
         Ok(Self {
-            claims: claims.iter().zip(&judged).map(in_words).collect(),
+            claims,
             counts: Counts::of(&all),
             contacts: contacts(analysis, &experiments)?.iter().map(Contacts::to_string).collect(),
-            readings: families.as_ref().map(Families::counted).unwrap_or_default(),
+            readings,
+            is_of_readings,
             commands: lacking.into_iter().filter_map(|name| analysis.command(name, quick)).collect(),
             mixed: all.iter().flat_map(|judgment| &judgment.mixed).map(Mixed::to_string).collect(),
         })
