@@ -124,8 +124,8 @@ pub enum FigureError {
     },
     /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
-        "the finished runs of {experiment} in {} ({there}) have no rows for the figure: a scenario, task or output is \
-         missing, or a table that earlier versions didn't write{}",
+        "the finished runs of {experiment} in {} ({there}) have no rows for the figure: a scenario, a task or an output \
+         is missing{}",
         root.display(),
         command.as_ref().map_or_else(String::new, |command| {
             format!("; `{command}` makes runs that have more")

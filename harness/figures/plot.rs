@@ -522,7 +522,7 @@ fn rows_of_names(names: &[String], slot: f64) -> usize {
 pub(super) fn range(means: &[Mean]) -> [f64; 2] {
     let networks: Vec<&Mean> = means.iter().filter(|mean| !mean.of.is_baseline()).collect();
     let chosen = if networks.is_empty() { means.iter().collect() } else { networks };
-    let [low, high] = without_outliers(chosen.iter().map(|mean| mean.interval.mean).collect());
+    let [low, high] = without_outliers(&chosen);
     let is_within = |mean: &&&Mean| (low..=high).contains(&mean.interval.mean);
     let shortest = chosen.iter().filter(is_within).map(|mean| mean.interval.high() - mean.interval.mean);
     let room = (high - low).max(shortest.fold(f64::INFINITY, f64::min)).max(1e-9 * high.abs());
@@ -536,18 +536,27 @@ pub(super) fn range(means: &[Mean]) -> [f64; 2] {
     [all.iter().copied().fold(low, f64::min), all.into_iter().fold(high, f64::max)]
 }
 
-/// The lowest and the highest value without outliers, which would leave a small part of the axis to all others.
-/// Outliers are fewer than half of the values.
-fn without_outliers(mut values: Vec<f64>) -> [f64; 2] {
+/// The lowest and the highest mean without outliers, which would leave a small part of the axis to all others. Outliers
+/// are fewer than half of the means, and in no interval of another one.
+fn without_outliers(means: &[&Mean]) -> [f64; 2] {
+    let mut values: Vec<f64> = means.iter().map(|mean| mean.interval.mean).collect();
     values.sort_by(f64::total_cmp);
     let count = values.len();
+    let is_covered = |low: f64, high: f64| {
+        let (kept, others): (Vec<&Mean>, Vec<&Mean>) =
+            means.iter().copied().partition(|mean| (low..=high).contains(&mean.interval.mean));
+        let is_in = |value: f64| {
+            kept.iter().any(|mean| (mean.interval.low()..=mean.interval.high()).contains(&value))
+        };
+        others.iter().any(|mean| is_in(mean.interval.mean))
+    };
     let gap = |end: f64, next: Option<&f64>| next.map_or(f64::INFINITY, |next| (next - end).abs());
     for kept in (count / 2 + 1..count).rev() {
         for (place, window) in values.windows(kept).enumerate() {
             let [low, high] = [window[0], window[kept - 1]];
             let before = place.checked_sub(1).and_then(|place| values.get(place));
             let nearest = gap(low, before).min(gap(high, values.get(place + kept)));
-            if high > low && nearest >= FAR * (high - low) {
+            if high > low && nearest >= FAR * (high - low) && !is_covered(low, high) {
                 return [low, high];
             }
         }
