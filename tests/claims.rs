@@ -1333,7 +1333,7 @@ fn without_runs_the_command_says_which_to_make() {
         assert!(printed.contains(&format!(" run {name} --quick\n")), "{printed}");
     }
     let plan = succeed(nowhere.path(), &["claims", "--plan"]);
-    assert!(plan.starts_with("there are no runs to judge by\n"), "{plan}");
+    assert!(plan.starts_with("there are no runs of the claims' own experiments\n"), "{plan}");
     for name in EXPERIMENTS {
         assert!(plan.contains(&format!(" run {name}\n")), "{plan}");
     }

@@ -125,14 +125,18 @@ impl Claims {
     fn print_short(columns: &[(&str, Vec<&Judgment>)], explanation: Option<&str>) {
         for (name, judgments) in columns {
             let name = if columns.len() > 1 { format!("{name}: ") } else { String::new() };
-            print_text(&format!("{name}{}", Counts::of(judgments)));
+            let counts = Counts::of(judgments);
+            print_text(&format!("{name}{counts}"));
+            print_unsure(&counts);
             print_mixed(judgments);
         }
         println!();
         let claims = |(_, judgments): &(&str, Vec<&Judgment>)| {
-            let of_claims = judgments.chunk_by(|a, b| a.claim.id() == b.claim.id());
+            let p_values = corrected(judgments.iter().copied());
+            let judged: Vec<(&Judgment, Option<f64>)> = judgments.iter().copied().zip(p_values).collect();
+            let of_claims = judged.chunk_by(|(a, _), (b, _)| a.claim.id() == b.claim.id());
             of_claims
-                .map(|of_claim| (of_claim[0].claim.id().to_owned(), in_words(of_claim)))
+                .map(|of_claim| (of_claim[0].0.claim.id().to_owned(), in_words(of_claim)))
                 .collect::<Vec<_>>()
         };
         let mut rows: Vec<Vec<String>> = Vec::new();
@@ -338,14 +342,19 @@ fn print_counts(judgments: &[&Judgment]) {
     print_text(&format!(
         "{counts}; intervals are 95 % over datasets or, with one dataset, over seeds or episodes"
     ));
+    print_unsure(&counts);
+    print_unmet(judgments);
+    print_mixed(judgments);
+}
+
+/// Prints how many verdicts a correction makes undecided.
+fn print_unsure(counts: &Counts) {
     if counts.unsure > 0 {
         let Counts { unsure, tests, .. } = counts;
         print_text(&format!(
             "* {unsure} of these verdicts are undecided after Holm's correction for {tests} tests"
         ));
     }
-    print_unmet(judgments);
-    print_mixed(judgments);
 }
 
 /// Prints the settings in which runs differ, and which runs to choose.
@@ -391,7 +400,11 @@ fn print_plan(plan: &Plan, judgments: &[Judgment]) {
         let has_data = judgments.iter().any(is_measured);
         println!(
             "{}",
-            if has_data { "no measured claim is undecided" } else { "there are no runs to judge by" }
+            if has_data {
+                "no measured claim is undecided"
+            } else {
+                "there are no runs of the claims' own experiments"
+            }
         );
     } else {
         print_text(
@@ -513,13 +526,12 @@ fn print_values(of: &str, each: Each, values: &Values) {
 }
 
 /// The verdicts on a claim: one if all scenarios have the same, otherwise that of each.
-fn in_words(judgments: &[&Judgment]) -> String {
-    let verdicts: BTreeSet<String> =
-        judgments.iter().map(|judgment| judgment.verdict().to_string()).collect();
+fn in_words(judgments: &[(&Judgment, Option<f64>)]) -> String {
+    let verdicts: BTreeSet<String> = judgments.iter().map(verdict).collect();
     if verdicts.len() == 1 {
         return verdicts.into_iter().collect();
     }
-    let word = |judgment: &&Judgment| format!("{}: {}", scenario(judgment), judgment.verdict());
+    let word = |judged: &(&Judgment, Option<f64>)| format!("{}: {}", scenario(judged.0), verdict(judged));
     judgments.iter().map(word).collect::<Vec<_>>().join(", ")
 }
 
