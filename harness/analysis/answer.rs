@@ -123,6 +123,14 @@ impl Answer {
             return Err(AnalysisError::UnknownColumn { wanted: base.to_owned(), columns });
         };
         let side = (*side).clone();
+        let has_pair = |other: &Side| {
+            table.values.keys().any(|(subject, own)| own == other && table.mean(subject, &side).is_some())
+        };
+        let lone: Vec<String> = sides
+            .iter()
+            .filter(|other| other.baseline.is_none() && !has_pair(other))
+            .map(|other| other.name())
+            .collect();
         // A baseline stands in the rows of the networks of every size.
         let mut cells: BTreeMap<Of, Mean> = BTreeMap::new();
         for ((subject, own), mean) in &table.values {
@@ -141,6 +149,9 @@ impl Answer {
         let p_values: Vec<f64> = cells.iter().filter_map(|cell| cell.p).collect();
         for (cell, p) in cells.iter_mut().filter(|cell| cell.p.is_some()).zip(holm(&p_values)) {
             cell.p = Some(p);
+        }
+        if !lone.is_empty() {
+            self.notes.push(format!("left out, because {base} has no rows beside them: {}", lone.join(", ")));
         }
         (self.cells, self.against) = (cells, Some(side));
         Ok(())
