@@ -40,6 +40,10 @@ pub fn print_judgement(scene: &Scene, episodes: u32) -> Result<()> {
         let said: Vec<String> = alike.iter().copied().map(note).collect();
         print_text(&format!("note: {}: {}", said.join("; "), alike[0].advice));
     }
+    print_text(&match beyond.len() {
+        0 => "fit for learning: every value is within its limit".to_owned(),
+        count => format!("not fit for learning: {} beyond the limit, marked with !", counted(count, "value")),
+    });
     Ok(())
 }
 
