@@ -597,7 +597,7 @@ fn every_answer_says_how_far_ahead_its_predictions_are() {
     assert!(plot("next.svg", &["--horizon", "1"]).contains("predictions of the next sample"));
     assert!(plot("own.svg", &[]).contains(ahead) && compared(&[]).contains(ahead));
     let run = succeed(&RESULTS, &RUN).split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(run.contains("which differ in their seeds; predictions 4 samples ahead"), "{run}");
+    assert!(run.contains("which differ in their seeds or folds; predictions 4 samples ahead"), "{run}");
     // Each of the pages says it too.
     let page = path("report.html").display().to_string();
     succeed(&RESULTS, &["report", "smoke", "--output", &page]);

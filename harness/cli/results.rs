@@ -132,8 +132,10 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let is_part = |row: &Row| row.direction.as_ref().is_some_and(|name| name.starts_with("in "));
     let by_unit = rows.iter().any(is_part).then(|| BY_UNIT.to_owned());
     let most = rows.iter().map(|row| row.runs).max().filter(|runs| *runs > 1);
-    let means = most.map(|runs| format!("means over up to {runs} runs, which differ in their seeds"));
+    let means =
+        most.map(|runs| format!("means over up to {runs} runs, which differ in their seeds or folds"));
     let ahead = match horizon {
+        0 => "estimates of the present sample".to_owned(),
         1 => "predictions of the next sample".to_owned(),
         _ => format!("predictions {horizon} samples ahead"),
     };
