@@ -8,6 +8,7 @@ use harness_spec::{
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
@@ -2294,4 +2295,71 @@ network: {preset: single_to_multi}
         "outputs.object.predict: 'object' has categories, which have no change; predict their value"
     );
     assert_eq!(check(&both, ""), Ok(()));
+}
+
+/// A keyword that the checks overlook would bind editors alone, so each must be one that they know.
+#[test]
+fn the_checks_know_every_keyword_of_the_schemas() {
+    // `not` makes a name fit one choice only.
+    const ANNOTATIONS: &[&str] = &["$schema", "title", "description", "default", "format", "not"];
+    // `pattern` stands for the rules of names and of `Origin`, and `if` with `then` for the rule of a mapping that a
+    // modality has columns or a label.
+    const CHECKED: &[&str] = &[
+        "$defs",
+        "$ref",
+        "type",
+        "properties",
+        "required",
+        "patternProperties",
+        "additionalProperties",
+        "items",
+        "minItems",
+        "maxItems",
+        "minProperties",
+        "maxProperties",
+        "uniqueItems",
+        "minimum",
+        "maximum",
+        "exclusiveMinimum",
+        "exclusiveMaximum",
+        "anyOf",
+        "oneOf",
+        "const",
+        "pattern",
+        "if",
+        "then",
+    ];
+    fn visit(schema: &Value) {
+        for (keyword, value) in schema.as_object().unwrap() {
+            let keyword = keyword.as_str();
+            assert!(ANNOTATIONS.contains(&keyword) || CHECKED.contains(&keyword), "{keyword}: {value}");
+            match keyword {
+                "$defs" | "properties" | "patternProperties" => {
+                    value.as_object().unwrap().values().for_each(visit)
+                }
+                "items" => visit(value),
+                "anyOf" | "oneOf" => value.as_array().unwrap().iter().for_each(visit),
+                // False, or what every other key's value must be.
+                "additionalProperties" if value.is_object() => visit(value),
+                "additionalProperties" => assert_eq!(value, false),
+                _ => {}
+            }
+        }
+    }
+    visit(&spec::schema());
+    visit(&spec::mapping_schema());
+}
+
+/// The message about a wrong value has words for every part of the schema.
+#[test]
+fn a_wrong_value_of_any_setting_is_told_what_is_expected() {
+    let schema = spec::schema();
+    let settings = schema["properties"]["quick"]["properties"].as_object().unwrap();
+    assert!(settings.len() > 100);
+    for name in settings.keys() {
+        let error = load_with(format!("{BASE}quick: {{{name}: [[{{}}]]}}\n"), &[], true).unwrap_err();
+        let (_, words) = error.split_once("expected ").unwrap_or_else(|| panic!("{name}: {error}"));
+        let known = ["a ", "an ", "one of ", "true or false", "null"];
+        assert!(known.iter().any(|start| words.starts_with(start)), "{name}: {error}");
+    }
 }

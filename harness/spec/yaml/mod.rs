@@ -5,8 +5,6 @@
 mod check;
 mod parse;
 
-#[cfg(test)]
-pub use check::expected;
 pub use check::{
     Hints, allow_single_values, check_against, check_part, choices, is_like, join, key_pattern, list_single,
     no_name, not_known, properties, property, resolve, takes_one_item, types, unknown,
