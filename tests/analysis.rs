@@ -318,6 +318,29 @@ fn interval_of_mean(tables: &[[Vec<[f64; 2]>; 2]], which: usize, shared: bool) -
     estimate.interval_with_episodes(&Jackknife::mean(&jackknives, &datasets).unwrap(), LEVEL)
 }
 
+/// The difference is significant exactly where its interval excludes 0, at every level.
+#[test]
+fn a_p_value_is_that_of_the_interval_over_datasets_and_episodes() {
+    let sums = |scale: f64| -> Vec<[f64; 2]> {
+        (0..20).map(|episode| [scale * f64::from(1 + episode % 7), f64::from(2 + episode % 3)]).collect()
+    };
+    let [one, other] = [0.2, 0.21].map(|scale| Jackknife::new(Metric::R2, &sums(scale)).unwrap());
+    let episodes =
+        Jackknife::mean(&[one.minus(&other).unwrap(), one.minus(&other).unwrap()], &[0, 1]).unwrap();
+    for values in [[0.02, 0.024], [0.5, 0.9], [0.001, 0.0011]] {
+        let estimate = Estimate::of(&values).unwrap();
+        let p = estimate.p_value_with_episodes(&episodes, 0.0).unwrap();
+        assert!(p > estimate.p_value(0.0).unwrap(), "episodes add to what is not known");
+        for (level, excludes) in [(1.0 - 1.001 * p, true), (1.0 - 0.999 * p, false)] {
+            if level > 0.0 {
+                let interval = estimate.interval_with_episodes(&episodes, level);
+                assert_eq!(interval.low() > 0.0 || interval.high() < 0.0, excludes, "{values:?} {level}");
+            }
+        }
+    }
+    assert_eq!(Estimate::of(&[1.0]).unwrap().p_value_with_episodes(&episodes, 0.0), None);
+}
+
 /// The shares of intervals over `datasets` datasets that contain the mean over datasets and episodes of R2 and of a
 /// difference, and of prediction intervals that contain R2 on one more dataset, in %.
 fn coverages(sum: Sum, datasets: usize, episodes: usize, shared: bool) -> [f64; 3] {

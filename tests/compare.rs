@@ -998,3 +998,32 @@ fn numbers_are_sorted_before_texts() {
     values.sort_by(|a, b| by_value(a, b));
     assert_eq!(values, ["-2", "1e-3", "0.5", "9", "10", "12x", "1a", "a", "b", "none"]);
 }
+
+/// An untrained encoder has the variant of its network, and is not the network.
+#[test]
+fn an_untrained_encoder_has_a_column_of_its_own() {
+    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
+    let asked =
+        ["compare", "probes", "--task", "reconstruction", "--of", "boxes_from_arm", "--metrics", "r2"];
+    let compare = |more: &[&str]| succeed(&reference, &[&asked[..], more].concat());
+    let mean = |model: &str, senses: &str| {
+        let sql = format!(
+            "select avg(value) as mean from metrics where experiment = 'probes' and metric = 'r2' and index is null \
+             and modality = 'boxes_from_arm' and task = 'reconstruction' and model = '{model}' \
+             and variant = 'senses={senses}'"
+        );
+        ask(&reference, &sql)[0]["mean"].as_f64().unwrap()
+    };
+    let all = compare(&["--models", "network,untrained"]);
+    let (heading, row) = (all.lines().next().unwrap(), all.lines().nth(2).unwrap());
+    let columns: Vec<&str> = heading.split("  ").map(str::trim).filter(|text| !text.is_empty()).collect();
+    assert_eq!(columns, ["finger", "touch", "untrained, finger", "untrained, touch"], "{all}");
+    for (model, senses) in
+        [("network", "finger"), ("network", "touch"), ("untrained", "finger"), ("untrained", "touch")]
+    {
+        let number = format!("{:.3}", mean(model, senses));
+        assert!(row.contains(&number), "{model} {senses}: {number} is not in {row}");
+    }
+    let network = compare(&["--models", "network"]);
+    assert!(!network.contains("untrained"), "{network}");
+}

@@ -137,15 +137,27 @@ fn answer(results: &Path, command: &[&str]) -> (i32, String, Vec<(String, Vec<u8
 #[test]
 fn further_rows_change_no_other_answer() {
     let [plain, further] = ["horizons_plain", "horizons_further"].map(|name| {
-        published_without(&["history", "missing", "choose_recommended", "intervals", "recommended"], name)
+        let others = [
+            "history",
+            "missing",
+            "probes",
+            "choose_recommended",
+            "choose_camera",
+            "intervals",
+            "recommended",
+        ];
+        published_without(&others, name)
     });
-    // Some runs have further rows already, and two datasets are enough.
+    // Some runs have further rows already, and two datasets are enough, or one of the largest experiment.
     for results in [&plain, &further] {
-        let is_of_more = |run: &str| ["-data2-", "-data3-"].iter().any(|part| run.contains(part));
+        let is_of_more = |run: &str| {
+            ["-data2-", "-data3-"].iter().any(|part| run.contains(part))
+                || run.contains("-data1-") && run.contains("role=")
+        };
         divide(results, |record| !is_of_more(&record.run) && !record.has(Table::AllMetrics));
     }
     let added = runs(&further);
-    assert!(added.len() > 40);
+    assert!(added.len() > 30);
     added.iter().for_each(|run| add_further_rows(run));
     for command in COMMANDS {
         let (expected, found) = (answer(&plain, command), answer(&further, command));

@@ -226,7 +226,7 @@ fn with_key(key: &str, value: &str) -> String {
 pub struct Side {
     /// The name of the baseline; `None` for networks and external models.
     pub baseline: Option<String>,
-    /// The name of an external model, if the variant does not distinguish columns.
+    /// The name of a model of another program, if the variant does not tell it apart, or of an untrained encoder.
     pub model: Option<String>,
     /// What tells columns of the same model apart.
     pub place: Place,
@@ -369,9 +369,14 @@ impl<'a> Comparison<'a> {
             direction: of.direction.clone(),
             metric: metrics.iter().position(|name| *name == of.metric).unwrap_or(metrics.len()),
         };
+        // The variant of a model of another program names it. That of an untrained encoder is the network's.
+        let is_in_variant = |of: &Of, model: &str| model_parts(&of.variant).1 == Some(model);
         let side = |of: &Of| Side {
             baseline: of.is_baseline().then(|| of.model.clone()),
-            model: of.external().filter(|_| variants_are_rows).map(str::to_owned),
+            model: of
+                .other()
+                .filter(|model| variants_are_rows || !is_in_variant(of, model))
+                .map(str::to_owned),
             place: Place::of(of, labels, |key| by.contains(&key)),
         };
         let mut comparison = Self { units: BTreeMap::new(), values: BTreeMap::new() };

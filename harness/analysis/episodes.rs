@@ -86,6 +86,24 @@ impl Estimate {
         let half = |high: f64| (high - mean).hypot(episodes.half(level));
         Interval { mean, bounds: bounds.map(|(_, high)| (mean - half(high), mean + half(high))) }
     }
+
+    /// The two-sided p-value that belongs to [`Self::interval_with_episodes`]: 1 minus the highest level at which the
+    /// interval excludes `bound`. `None` where [`Self::p_value`] is.
+    pub fn p_value_with_episodes(&self, episodes: &Jackknife, bound: f64) -> Option<f64> {
+        /// Number of halvings, after which p is known to a ten thousandth of itself.
+        const HALVINGS: usize = 20;
+        self.p_value(bound)?;
+        let excludes = |p: f64| {
+            let interval = self.interval_with_episodes(episodes, 1.0 - p);
+            bound < interval.low() || interval.high() < bound
+        };
+        let (mut low, mut high) = (1e-6_f64, 1.0);
+        for _ in 0..HALVINGS {
+            let middle = (low * high).sqrt();
+            if excludes(middle) { high = middle } else { low = middle }
+        }
+        Some(high)
+    }
 }
 
 /// The columns of texts that tell what the sums in the rows of the table are of.

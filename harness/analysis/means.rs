@@ -4,7 +4,7 @@ use super::episodes::Jackknives;
 use super::rows::Row;
 use super::{Analysis, Estimate, Interval, Jackknife, Key, LEVEL, Over, Run, replicates};
 use harness_catalog::QueryError;
-use harness_judge::models::{NETWORK, is_baseline};
+use harness_judge::models::{NETWORK, UNTRAINED, is_baseline};
 use harness_metrics::higher_is_better;
 use harness_shared::numbers::enumerated;
 use harness_spec::{Modality, Origin, Task, model_parts};
@@ -82,14 +82,16 @@ impl Of {
         is_baseline(&self.model)
     }
 
-    /// Returns the name of the model of another program that the value is of, if it is of one.
-    pub fn external(&self) -> Option<&str> {
+    /// Returns the name of the model, if it is neither the network nor a baseline: that of another program, or an
+    /// untrained encoder.
+    pub fn other(&self) -> Option<&str> {
         Some(self.model.as_str()).filter(|model| *model != NETWORK && !is_baseline(model))
     }
 
-    /// Whether the value is of the model with this name. [`NETWORK`] stands for all models but baselines.
+    /// Whether the value is of the model with this name. [`NETWORK`] stands for all models but baselines and untrained
+    /// encoders.
     pub fn is_by(&self, model: &str) -> bool {
-        self.model == model || model == NETWORK && !self.is_baseline()
+        self.model == model || model == NETWORK && !self.is_baseline() && self.model != UNTRAINED
     }
 }
 
@@ -184,8 +186,8 @@ impl Mean {
         }
     }
 
-    /// Returns the mean of the differences from `base`, the column with this heading, over the seeds of dataset and training that both have; `None`
-    /// if they share none. A baseline has no seed of training, so its value is compared with every value on the same
+    /// Returns the mean of the differences from `base`, the column with this heading, over the seeds of dataset and
+    /// training that both have; `None` if they share none. A baseline has no seed of training, so its value is compared with every value on the same
     /// dataset. Both must be of the same scenario, so that the values are of the same data.
     pub(super) fn difference_from(&self, base: &Mean, heading: &str) -> Option<Self> {
         let key = |(dataset, seed): &(u64, u64)| (*dataset, (!base.of.is_baseline()).then_some(*seed));
@@ -202,7 +204,12 @@ impl Mean {
         let mean = Self::of_values(self.of.clone(), self.unit.clone(), values, seeds, test, self.over)?;
         let (against, test_to_training) = (Some(heading.to_owned()), self.test_to_training);
         let mean = Self { against, test_to_training, ..mean }.with_interval();
-        Some(Self { p: mean.estimate()?.p_value(0.0), ..mean })
+        let estimate = mean.estimate()?;
+        let p = match mean.jackknife() {
+            None => estimate.p_value(0.0),
+            Some(jackknife) => estimate.p_value_with_episodes(&jackknife, 0.0),
+        };
+        Some(Self { p, ..mean })
     }
 
     /// Whether two means of a baseline share datasets, and have the same value on each of them, up to rounding.

@@ -92,8 +92,8 @@ pub struct Question {
     pub of: Vec<String>,
     /// The names of the metrics. Empty for the main ones.
     pub metrics: Vec<String>,
-    /// The models: [`NETWORK`](models::NETWORK), which stands for all models but baselines, and names of models. Empty
-    /// for all of them.
+    /// The models: [`NETWORK`](models::NETWORK), which stands for all models but baselines and untrained
+    /// encoders, and names of models. Empty for all of them.
     pub models: Vec<String>,
     /// How far ahead the predictions are. If there are none, they are as far ahead as the spec of each run says
     /// (`window.horizon`), or at every horizon if [`Key::Horizon`] tells means apart.

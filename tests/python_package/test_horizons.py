@@ -48,10 +48,12 @@ def add_further_rows(run: Path) -> None:
 
 
 def divide(results: Path, experiment: str) -> None:
-    """Gives each published run of an experiment a folder of its own, and removes the files that the runs share."""
+    """Gives each published run on the first dataset a folder of its own, and removes the files that all runs share."""
     shared = [path for path in (results / "runs" / experiment).iterdir() if path.is_file()]
     for record in json.loads((results / "runs" / experiment / "records.json").read_text())["records"]:
         run = record["run"]
+        if "-data" in run:
+            continue
         _harness.extract(f"{experiment}/{run}", results / "runs" / experiment / run, results)
     for path in shared:
         path.unlink()

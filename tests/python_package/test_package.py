@@ -158,7 +158,7 @@ def test_networks_of_the_package_predict_new_episodes(
     touch = ["contact_force", "contact_force_mean"]
     assert (model.input, model.latent, model.scenario) == (["proprioception", "arm", *touch], 64, world)
     assert not list(tmp_path.iterdir())
-    size = {"simulation.episodes": 4, "simulation.actuations_per_episode": 10, "simulation.seed": 4711}
+    size = {"simulation.episodes": 4, "simulation.actuations_per_episode": 10, "simulation.seed": 4711, "test.episodes": 1}
     collected = harness.collect("recommended", {"scenarios": world, **size}, results=tmp_path, progress=False)
     data = harness.Dataset(next(iter(collected)))
     now = np.concatenate([np.arange(first, end - 1) for first, end in data.bounds])
