@@ -135,7 +135,7 @@ fn every_command_takes_paths_as_they_are() {
     place.writes("answer.csv", &["query", "select run, metric, value from metrics"]);
     place.writes("list.json", &["ls"]);
     place.writes("means.parquet", &["compare", "strange"]);
-    place.writes("plot.svg", &["plot", "--x", "seed", "--metrics", "r2", "--by", "variant"]);
+    place.writes("plot.svg", &["plot", "--x", "simulation.seed", "--metrics", "r2", "--by", "variant"]);
     place.writes("figures", &["figures", "--experiment", "strange"]);
     place.writes("report.html", &["report", "strange"]);
     place.writes("all.html", &["report"]);

@@ -262,6 +262,46 @@ fn damage_to_what_published_runs_share_is_found() {
     assert!(answer.code == 1 && answer.stderr.contains("publish it without --complete"), "{}", answer.stderr);
 }
 
+/// No repair that `verify` proposes removes what a published run still needs.
+#[test]
+fn what_published_runs_need_is_never_to_be_removed() {
+    let copy = fresh("published-needed");
+    let out = copy.to_str().unwrap();
+    succeed(&RESULTS, &["publish", "smoke", "--networks", "--output", out]);
+    let folder = copy.join("runs/smoke");
+    let verify = || finish(&mut harness(&copy, &["verify"]));
+    // An interruption after the list was replaced.
+    std::fs::rename(folder.join("metrics.parquet"), folder.join("metrics.parquet.new")).unwrap();
+    let answer = verify();
+    assert!(
+        answer.code == 0 && answer.stdout.contains("an interrupted command did not rename"),
+        "{}",
+        answer.stdout
+    );
+    assert!(!answer.stdout.contains("rm "), "{}", answer.stdout);
+    succeed(&copy, &["compare"]);
+    succeed(&RESULTS, &["publish", "smoke", "--networks", "--output", out]);
+    assert!(folder.join("metrics.parquet").is_file() && !folder.join("metrics.parquet.new").exists());
+    // A list that is damaged, and one that is gone.
+    let list = folder.join("records.json");
+    let text = std::fs::read(&list).unwrap();
+    for damaged in [Some(&text[..text.len() / 2]), None] {
+        std::fs::remove_file(&list).unwrap();
+        damaged.into_iter().for_each(|bytes| std::fs::write(&list, bytes).unwrap());
+        let answer = verify();
+        assert!(answer.code == 1 && answer.stdout.contains("records.json: "), "{}", answer.stdout);
+        assert!(answer.stdout.contains("1 broken") && !answer.stdout.contains("rm "), "{}", answer.stdout);
+        std::fs::write(&list, &text).unwrap();
+    }
+    assert_eq!(verify().code, 0);
+    // The networks of a run.
+    let run =
+        std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).find(|path| path.is_dir());
+    std::fs::remove_dir_all(run.unwrap()).unwrap();
+    let answer = verify();
+    assert!(answer.code == 1 && answer.stdout.contains(".safetensors: "), "{}", answer.stdout);
+}
+
 #[test]
 fn publishing_again_changes_nothing() {
     let copy = fresh("published-twice");

@@ -2297,6 +2297,24 @@ network: {preset: single_to_multi}
     assert_eq!(check(&both, ""), Ok(()));
 }
 
+#[test]
+fn folds_are_runs_so_that_their_number_and_the_test_are_not_chosen_as_well() {
+    let spec = BASE.replace("[empty, cluttered]", "lab-0123456789abcdef");
+    let error = |more: &str| load_with(format!("{spec}{more}"), &[], false).unwrap_err();
+    for more in
+        ["vary: {split.folds: [2, 3]}", "vary: {kind: {two: {split.folds: 2}, three: {split.folds: 3}}}"]
+    {
+        let error = error(more);
+        assert!(error.contains("'split.folds' can't vary, because there is a run for each fold"), "{error}");
+        assert!(error.starts_with("spec.yaml:7:"), "{error}");
+    }
+    let error = error("split: {by: object, folds: 3, test: [book]}");
+    assert!(
+        error.contains("each fold is the test of a run; leave out split.test, or split.folds"),
+        "{error}"
+    );
+}
+
 /// A keyword that the checks overlook would bind editors alone, so each must be one that they know.
 #[test]
 fn the_checks_know_every_keyword_of_the_schemas() {

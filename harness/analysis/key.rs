@@ -37,6 +37,11 @@ impl FromStr for Key {
     /// Reads the name of a key, or the key of a setting. A setting can be given without its section, as in the column
     /// `variant`, if no other setting has the same name.
     fn from_str(text: &str) -> Result<Self, String> {
+        if text == "seed" {
+            return Err(
+                "means are over the seeds of the training; simulation.seed tells datasets apart".into()
+            );
+        }
         let named = Self::ALL.into_iter().find(|key| key.name() == text);
         let of_runs = || OF_RUNS.into_iter().find(|key| *key == text).map(Self::Setting);
         let setting = || Some(Self::Setting(intern(&varied_setting(text)?)));

@@ -8,7 +8,7 @@ use clap::Args;
 use harness::analysis::differing;
 use harness::catalog::{OVERALL, query_of, rows};
 use harness::dataset::{is_of_model, world_parts};
-use harness::judge::models::baselines_in_sql;
+use harness::judge::models::{UNTRAINED, baselines_in_sql};
 use harness::metrics::{Metric, best, rounded};
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord};
@@ -160,12 +160,12 @@ struct Row {
 ///
 /// Without `all`, they are the usual metrics of the networks or models of other programs.
 fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Result<Sheet> {
+    let others = format!("{}, '{UNTRAINED}'", baselines_in_sql());
     let chosen = match all {
         true => "index is null".to_owned(),
         false => format!(
-            "{OVERALL} and model not in ({}) and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', \
-             'balanced_accuracy', 'log_loss')",
-            baselines_in_sql()
+            "{OVERALL} and model not in ({others}) and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', \
+             'balanced_accuracy', 'log_loss')"
         ),
     };
     let of = |run: &RunRecord| {
@@ -175,7 +175,7 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
     let names = [a.name(), b.name()];
     // What predicts is compared also if the runs call it differently.
     let own = if a.predictor() == b.predictor() { a.predictor() } else { "network or model" };
-    let model = format!("case when model in ({}) then model else '{own}' end as model", baselines_in_sql());
+    let model = format!("case when model in ({others}) then model else '{own}' end as model");
     let mut answer = query_of(
         registry,
         |record| names.contains(&record.name()),

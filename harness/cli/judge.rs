@@ -228,14 +228,16 @@ impl Judge {
         let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
         let runner = Runner::new(registry, threads, &provenance, &bars);
         let task = self.choice.of(&experiment, runner.tasks(&experiment)?)?;
-        let missing = task.missing();
-        if missing > 0 {
-            let (dataset, command) = (task.dataset().name().to_owned(), collect(registry, &spec));
+        if let Some((dataset, missing)) = task.uncollected().next() {
+            let (dataset, command) = (dataset.to_owned(), collect(registry, &spec));
             return Err(TaskError::NotCollected { dataset, missing, command }.into());
         }
         let predictions = match is_simulator {
             true => self.known.predictions()?,
-            false => Predictions::Rows(read_predicted(&self.predictions).map_err(TaskError::from)?),
+            false => {
+                let nearest = task.spec().window.horizon.min(1);
+                Predictions::Rows(read_predicted(&self.predictions, nearest).map_err(TaskError::from)?)
+            }
         };
         registry.check_writable()?;
         interrupt::install()?;

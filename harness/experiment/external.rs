@@ -178,7 +178,13 @@ impl PredictionTask {
 
     /// Returns the number of episodes that have not been collected.
     pub fn missing(&self) -> usize {
-        self.source.simulated().map(|(dataset, _)| dataset.missing().len()).sum()
+        self.uncollected().map(|(_, missing)| missing).sum()
+    }
+
+    /// Returns the names of the datasets that lack episodes, each with their number.
+    pub fn uncollected(&self) -> impl Iterator<Item = (&str, usize)> {
+        let lacking = self.source.simulated().map(|(dataset, _)| (dataset.name(), dataset.missing().len()));
+        lacking.filter(|(_, missing)| *missing > 0)
     }
 
     /// Returns the spec of a run of a model.

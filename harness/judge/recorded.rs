@@ -138,6 +138,28 @@ pub struct Recorded<'a> {
     values: Values,
 }
 
+/// Refuses values of categories that are no probabilities: from 0 to 1, with the sum 1 but for rounding.
+fn check_probabilities(samples: &Samples, windows: &[Sample], values: &Values) -> Result<(), RecordedError> {
+    const ROUNDING: f32 = 1e-3;
+    let categories = values.iter().filter(|((modality, _), _)| samples.layout()[*modality].category);
+    for (&(modality, horizon), values) in categories {
+        let width = samples.layout()[modality].width();
+        let is_wrong = |values: &[f32]| {
+            let is_beyond = |value: &f32| !(-ROUNDING..=1.0 + ROUNDING).contains(value);
+            values.iter().any(is_beyond) || (values.iter().sum::<f32>() - 1.0).abs() > ROUNDING
+        };
+        if let Some(place) = values.chunks_exact(width).position(is_wrong) {
+            let (episode, sample) = samples.place(windows[place].after(horizon));
+            let at =
+                RecordedValue { modality, episode, sample, horizon, index: 0, value: values[place * width] };
+            let problem =
+                "the values of categories are probabilities, from 0 to 1 and with the sum 1".to_owned();
+            return Err(RecordedError::Value { at, problem });
+        }
+    }
+    Ok(())
+}
+
 impl<'a> Recorded<'a> {
     /// Sorts the values of a model by window. Each modality at each horizon that the test asks for must have a value
     /// for each element of each window, and there must be no others. `windows` are the present samples of the test's
@@ -187,6 +209,7 @@ impl<'a> Recorded<'a> {
                 });
             }
         }
+        check_probabilities(samples, windows, &values)?;
         Ok(Self { model: model.to_owned(), given: None, windows, values })
     }
 
@@ -218,6 +241,7 @@ impl<'a> Recorded<'a> {
                 return Err(RecordedError::Value { at: at(place, width), problem });
             }
         }
+        check_probabilities(samples, windows, &values)?;
         Ok(Self { model: model.to_owned(), given: None, windows, values })
     }
 

@@ -24,6 +24,9 @@ use std::sync::Arc;
 /// The file with the records of an experiment's published runs.
 pub const RECORDS: &str = "records.json";
 
+/// The ending of a file that replaces the one of the same name.
+pub(super) const NEW: &str = ".new";
+
 /// The content of the file.
 #[derive(Default, Serialize, Deserialize)]
 pub(super) struct Merged {
@@ -106,11 +109,17 @@ fn merge_in(
         }
     }
     let mut merged = Merged::default();
-    for table in Table::ALL {
-        if let Some(written) = write_table(folder, experiment, table, &mut runs)? {
-            merged.tables.insert(table.file_name(), written);
+    let written: Result<Vec<_>, RegistryError> = Table::ALL
+        .into_iter()
+        .map(|table| Ok((table.file_name(), write_table(folder, experiment, table, &mut runs)?)))
+        .collect();
+    // After an error, the old tables stay alone.
+    let written = written.inspect_err(|_| {
+        for table in Table::ALL {
+            let _ = std::fs::remove_file(beside(&folder.join(table.file_name())));
         }
-    }
+    })?;
+    merged.tables.extend(written.into_iter().filter_map(|(name, table)| Some((name, table?))));
     merged.records = runs.into_iter().map(|copied| copied.record).collect();
     merged.records.iter_mut().for_each(|record| record.files.retain(|_, file| file.slice.is_none()));
     merged.write(folder)?;
@@ -231,6 +240,12 @@ impl Merged {
         Err(RegistryError::File { path, reason: format!("its rows are not those of the runs in {RECORDS}") })
     }
 
+    /// Whether `path` has the rows of a table under the name that it had before an interruption.
+    pub fn is_current(&self, path: &Path) -> bool {
+        let folder = path.parent().unwrap_or(path);
+        self.tables.iter().any(|(name, table)| current(folder, name, &table.file) == path)
+    }
+
     /// Writes the list, with a seal and a line for each run. An empty list has no file.
     fn write(&self, experiment: &Path) -> Result<(), RegistryError> {
         let path = experiment.join(RECORDS);
@@ -263,6 +278,15 @@ impl Merged {
     }
 }
 
+/// Whether an experiment has tables of published runs, but no list of these runs that can be read.
+pub(super) fn lacks_list(experiment: &Path) -> bool {
+    let has_tables = || Table::ALL.iter().any(|table| experiment.join(table.file_name()).is_file());
+    match Merged::read(experiment) {
+        Err(_) => true,
+        Ok(_) => !experiment.join(RECORDS).is_file() && has_tables(),
+    }
+}
+
 /// The file of a table. It is still beside the old one if a process was killed after it replaced the list.
 fn current(experiment: &Path, name: &str, file: &FileRecord) -> PathBuf {
     let path = experiment.join(name);
@@ -272,7 +296,9 @@ fn current(experiment: &Path, name: &str, file: &FileRecord) -> PathBuf {
 
 /// Where the file that replaces another one is written.
 fn beside(path: &Path) -> PathBuf {
-    path.with_extension("parquet.new")
+    let mut new = path.as_os_str().to_owned();
+    new.push(NEW);
+    new.into()
 }
 
 fn damaged(path: &Path, error: PolarsError) -> RegistryError {

@@ -2,7 +2,7 @@
 
 use super::commands::{Again, Commands};
 use super::folders::Recorded;
-use super::merged::{Merged, RECORDS};
+use super::merged::{Merged, NEW, RECORDS, lacks_list};
 use super::record::{RunRecord, episodes_used};
 use super::{RECORD, Registry, RegistryError, Status, UNCOMMITTED};
 use crate::dataset::{Inspection, inspect, is_lock};
@@ -58,8 +58,8 @@ impl Registry {
     /// belong there. Nothing is changed.
     pub fn verify(&self, progress: &dyn Progress) -> Report {
         let (datasets, runs) = (folders(&self.datasets()), self.run_folders());
-        let merged = folders(&self.runs()).into_iter().filter(|folder| folder.join(RECORDS).is_file());
-        let merged: Vec<PathBuf> = merged.collect();
+        let has_merged = |folder: &PathBuf| folder.join(RECORDS).is_file() || lacks_list(folder);
+        let merged: Vec<PathBuf> = folders(&self.runs()).into_iter().filter(has_merged).collect();
         let all = datasets.iter().chain(&runs).chain(&merged);
         let total = all.map(|folder| sorted(folder).len()).sum::<usize>();
         progress.begin("verifying", total as u64, "files");
@@ -72,14 +72,16 @@ impl Registry {
             progress,
             files: AtomicUsize::new(0),
         };
-        let without_folder =
-            recorded.iter().filter(|(folder, run)| run.is_merged() && !folder.is_dir()).count();
-        let (runs_there, datasets_there) = (runs.len() + without_folder, datasets.len());
+        let without_folder: Vec<&Recorded> =
+            recorded.iter().filter(|(folder, run)| run.is_merged() && !folder.is_dir()).collect();
+        let (runs_there, datasets_there) = (runs.len() + without_folder.len(), datasets.len());
         let mut report = Report { runs: runs_there, datasets: datasets_there, ..Report::default() };
         datasets.iter().for_each(|folder| verification.dataset(folder, &mut report));
         verification.datasets_that_are_gone(&datasets, &mut report);
         merged.iter().for_each(|folder| verification.merged(folder, &mut report));
-        runs.iter().for_each(|folder| verification.run(folder, &mut report));
+        let has_files = |(_, run): &&&Recorded| run.files.values().any(|file| file.slice.is_none());
+        let lost = without_folder.iter().filter(has_files).map(|(folder, _)| folder);
+        runs.iter().chain(lost).for_each(|folder| verification.run(folder, &mut report));
         verification.strays(&mut report);
         progress.end();
         Report { files: verification.files.into_inner(), ..report }
@@ -218,6 +220,13 @@ impl Verification<'_> {
         let path = experiment.join(RECORDS);
         let again = "; restore it from version control, or remove the folder and publish its runs again";
         self.advance();
+        if !path.exists() {
+            return report.broken(
+                &path,
+                format!("it is missing, and says which rows are of which run{again}"),
+                None,
+            );
+        }
         let read = || {
             self.registry.published(experiment)?;
             Merged::read(experiment)
@@ -239,7 +248,11 @@ impl Verification<'_> {
         }
         for path in sorted(experiment).into_iter().filter(|path| !path.is_dir()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            if !is_lock(&name) && name != RECORDS && !merged.tables.contains_key(&*name) {
+            if merged.is_current(&path) && !merged.tables.contains_key(&*name) {
+                let problem =
+                    "a table that an interrupted command did not rename; the next `harness publish` does it";
+                report.note(&path, problem, None);
+            } else if !is_lock(&name) && name != RECORDS && !merged.tables.contains_key(&*name) {
                 report_stray(&path, report);
             }
         }
@@ -247,6 +260,10 @@ impl Verification<'_> {
 
     fn run(&self, folder: &Path, report: &mut Report) {
         let path = folder.join(RECORD);
+        // Without the list of published runs, it is not known which files belong to them. The list is reported once.
+        if !path.is_file() && folder.parent().is_some_and(lacks_list) {
+            return;
+        }
         let record = match self.registry.read_run(folder) {
             Ok(Some(record)) => record,
             Ok(None) => {
@@ -326,7 +343,9 @@ impl Verification<'_> {
     /// Reports files that belong neither to a dataset nor to a run.
     fn strays(&self, report: &mut Report) {
         let experiments = folders(&self.registry.runs());
-        let is_other = |folder: &PathBuf| !folder.join(RECORD).is_file() && !folder.join(RECORDS).is_file();
+        let is_other = |folder: &PathBuf| {
+            ![RECORD, RECORDS].iter().any(|name| folder.join(name).is_file()) && !lacks_list(folder)
+        };
         let experiments = experiments.into_iter().filter(is_other);
         let places = [self.registry.datasets(), self.registry.runs()].into_iter().chain(experiments);
         for path in places.flat_map(|place| sorted(&place)).filter(|path| !path.is_dir()) {
@@ -383,7 +402,7 @@ fn check_listed(record: &RunRecord, folder: &Path, name: &str) -> Result<(), Str
 
 fn report_stray(path: &Path, report: &mut Report) {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let is_unfinished = name.starts_with(UNFINISHED);
+    let is_unfinished = name.starts_with(UNFINISHED) || name.ends_with(NEW);
     let is_in_use = || path.parent().is_some_and(|folder| FolderLock::in_use(folder).is_some());
     // A process that works in the folder writes the file, or has just renamed or removed it.
     if is_unfinished && (is_in_use() || !path.exists()) {

@@ -787,6 +787,9 @@ fn split(experiment: &Experiment) -> Result<(), Fault> {
             "folds are for recordings; simulate several datasets instead, with vary: {simulation.seed: [0, 1, 2]}",
         );
     }
+    if split.folds.is_some() && *test != Split::default().test {
+        return fault("split.test", "each fold is the test of a run; leave out split.test, or split.folds");
+    }
     if split.fold.is_some_and(|fold| split.folds.is_none_or(|folds| fold >= folds)) {
         return fault("split.fold", "there is no such fold; they count from 0 to below split.folds");
     }

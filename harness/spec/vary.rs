@@ -8,6 +8,8 @@ use crate::yaml::{Entry, Node, Problem, Value, unknown};
 pub(super) const VARY: &str = "vary";
 /// The setting that distinguishes the folds of a recording, each of which is like a dataset of its own.
 pub(super) const FOLD: &str = "split.fold";
+/// The setting that makes a run for each fold.
+const FOLDS: &str = "split.folds";
 /// The setting whose list of values is short for an axis.
 const HORIZON: &str = "window.horizon";
 /// The key of the modalities that the encoder gets.
@@ -25,6 +27,8 @@ const INPUT: &str = "input";
 /// of an ablation has a single modality.
 pub(super) fn complete(tree: &mut Node, is_overridden: bool) -> Result<(), Problem> {
     move_horizons(tree, is_overridden)?;
+    refuse_folds(tree.get(VARY))?;
+    refuse_folds(tree.get("quick").and_then(|quick| quick.get(VARY)))?;
     list_folds(tree)?;
     let input = tree.get(INPUT).cloned();
     axes(tree.get_mut(VARY), input.as_ref())?;
@@ -44,6 +48,21 @@ fn move_horizons(tree: &mut Node, is_overridden: bool) -> Result<(), Problem> {
     }
     let Value::Section(entries) = &mut tree.value else { return Ok(()) };
     make_first_axis(entries, axis, HORIZON)
+}
+
+/// Refuses axes and labels with a number of folds, which makes runs by itself.
+fn refuse_folds(node: Option<&Node>) -> Result<(), Problem> {
+    let Some(Node { value: Value::Section(entries), .. }) = node else { return Ok(()) };
+    for entry in entries {
+        if entry.key == FOLDS {
+            let message = format!(
+                "'{FOLDS}' can't vary, because there is a run for each fold; write a spec for each number of folds"
+            );
+            return Err(Problem::new(&entry.key_place, message));
+        }
+        refuse_folds(Some(&entry.node))?;
+    }
+    Ok(())
 }
 
 /// Makes a run for each fold, unless the spec names one.

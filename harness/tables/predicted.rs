@@ -32,7 +32,10 @@ pub type PredictedRows = BTreeMap<Option<Vec<Modality>>, Vec<PredictedRow>>;
 pub const PREDICTED_COLUMNS: [(&str, &str); 7] = [
     ("episode", "index of the episode in the dataset, from 0"),
     ("sample", "index of the predicted sample in its episode, from 0"),
-    ("horizon", "number of samples from the present to the predicted one; 1 without this column"),
+    (
+        "horizon",
+        "number of samples from the present to the predicted one; without this column 1, or 0 for estimates",
+    ),
     (
         "given",
         "modalities that the model got, as arm,proprioception; empty, or no such column, if it got all inputs",
@@ -52,19 +55,19 @@ pub const PREDICTED_COLUMNS: [(&str, &str); 7] = [
 const OPTIONAL: [&str; 2] = ["horizon", "given"];
 
 /// Reads a file of predictions: Parquet, or CSV with a line of names if its name ends in `.csv`. Its columns are
-/// [`PREDICTED_COLUMNS`], in any order.
+/// [`PREDICTED_COLUMNS`], in any order. Without the column `horizon`, all rows are `nearest` samples ahead.
 ///
 /// # Errors
 /// When the file can't be read, it lacks a column or has another one, or a value has the wrong type. The reason names
 /// the column and the row, counted from 1.
-pub fn read_predicted(path: &Path) -> Result<PredictedRows, TableError> {
+pub fn read_predicted(path: &Path, nearest: usize) -> Result<PredictedRows, TableError> {
     // Polars panics at some types that it was compiled without.
     let table = catch_unwind(AssertUnwindSafe(|| read(path)));
     let unknown =
         || unreadable(path, "it has columns of types that are not supported; write integers and floats");
     let table =
         table.map_err(|_| unknown())?.map_err(|error| unreadable(path, first_line(&error.to_string())))?;
-    rows(&table).map_err(|reason| unreadable(path, reason))
+    rows(&table, nearest).map_err(|reason| unreadable(path, reason))
 }
 
 fn read(path: &Path) -> PolarsResult<DataFrame> {
@@ -87,7 +90,7 @@ fn first_line(text: &str) -> &str {
     text.lines().next().unwrap_or_default()
 }
 
-fn rows(table: &DataFrame) -> Result<PredictedRows, String> {
+fn rows(table: &DataFrame, nearest: usize) -> Result<PredictedRows, String> {
     let names: Vec<&str> = PREDICTED_COLUMNS.iter().map(|(name, _)| *name).collect();
     let found: Vec<&str> = table.get_column_names().into_iter().map(|name| name.as_str()).collect();
     let allowed = || format!("the columns must be {}", names.join(", "));
@@ -103,7 +106,7 @@ fn rows(table: &DataFrame) -> Result<PredictedRows, String> {
     let (episode, sample, index) =
         (numbers(table, "episode")?, numbers(table, "sample")?, numbers(table, "index")?);
     let horizon =
-        if found.contains(&"horizon") { numbers(table, "horizon")? } else { vec![1; table.height()] };
+        if found.contains(&"horizon") { numbers(table, "horizon")? } else { vec![nearest; table.height()] };
     let (modality, value) = (modalities(table)?, values(table)?);
     let given = if found.contains(&"given") { given(table)? } else { vec![None; table.height()] };
     let mut rows = PredictedRows::new();

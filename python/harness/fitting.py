@@ -55,12 +55,15 @@ def fit_world(
         results: the results folder.
 
     Raises:
-        ValueError: if the world lacks a factor or an output, or moves by other setpoints.
+        ValueError: if no factor or output is given, the world lacks one, or it moves by other setpoints.
         RuntimeError: if the dataset can't be read, or a simulation diverges.
     """
     from mujoco import minimize  # noqa: PLC0415, because it takes a second
 
     names, outputs = name_tuple(factors), name_tuple(output)
+    for what, given in (("factors", names), ("output", outputs)):
+        if not given or len(set(given)) < len(given):
+            raise ValueError(f"{what}: name at least one, and each once; found {', '.join(given) or 'none'}")
     replays = _harness.Replays(Path(results) / "datasets", dataset, str(world), list(outputs))
     ranges = replays.ranges()
     if unknown := [name for name in names if name not in ranges]:

@@ -252,7 +252,7 @@ fn an_added_fusion_of_two_encoders_is_trained() {
 fn added_predictions_of_another_program_are_judged() {
     let bench = Bench::new();
     let (Added { predictions, .. }, _) = Added::new(&bench);
-    let mut rows = read_predicted(&predictions).unwrap();
+    let mut rows = read_predicted(&predictions, 1).unwrap();
     let values = rows.remove(&None).unwrap().into_iter().map(|row| RecordedValue {
         modality: row.modality,
         episode: row.episode,

@@ -133,6 +133,9 @@ def test_factors_and_outputs_that_are_not_there_are_named(place: Place) -> None:
     ]:
         with pytest.raises((ValueError, RuntimeError), match=message):
             fit_world(dataset, world, factors, output, results=results)
+    for factors, output, message in [([], "tail", "factors: .* found none"), ("stiffness", ["tail"] * 2, "found tail, tail")]:
+        with pytest.raises(ValueError, match=message):
+            fit_world("lab", world, factors, output, results=results)
     for given, message in [
         ("mass=2", "the factor 'mass': the factors of the world stiffer are stiffness, friction"),
         ("stiffness=20", r"the factor 'stiffness': 20 is outside of its range \[0.1, 10\] in the world file"),
