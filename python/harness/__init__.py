@@ -582,6 +582,7 @@ def plot(
 
 def report(
     *experiments: str,
+    dataset: str | None = None,
     output: str | os.PathLike[str] = "report.html",
     claims: str | os.PathLike[str] = "claims",
     quick: bool = False,
@@ -589,12 +590,13 @@ def report(
     results: str | os.PathLike[str] = "results",
     progress: bool = True,
 ) -> Path:
-    """Writes an HTML page of all results, or of some experiments, as `harness report` does.
+    """Writes an HTML page of all results, of some experiments, or of a dataset, as `harness report` does.
 
     The page needs no internet connection. If runs are missing, it says which command makes them.
 
     Args:
         experiments: names of experiments; all results by default.
+        dataset: the name of a dataset, or its beginning. The page shows what it contains, and no results.
         output: the file to write.
         claims: the file of claims.
         quick: uses the quick runs of the experiments.
@@ -608,15 +610,20 @@ def report(
     Raises:
         KeyError: one of the named experiments has no finished runs.
         FileNotFoundError: there is no results folder or no file of claims.
-        ValueError: the file of claims or the spec is wrong.
+        ValueError: the file of claims or the spec is wrong, or experiments and a dataset are given.
         OSError: the page can't be written.
-        RuntimeError: a table is damaged.
+        RuntimeError: a table is damaged, or there is no such dataset.
 
     Example:
         >>> harness.report("smoke", output="smoke.html", progress=False)
         PosixPath('smoke.html')
     """
     chosen, settings = _names("experiments", experiments), _settings(where)
+    if dataset is not None:
+        if chosen or settings or quick:
+            raise ValueError("dataset: the page of a dataset shows no experiments; leave out experiments, where and quick")
+        _harness.report_dataset(dataset, Path(output), Path(results), progress)
+        return Path(output)
     _harness.report(chosen, Path(output), Path(claims), quick, settings, Path(results), progress)
     return Path(output)
 

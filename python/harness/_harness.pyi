@@ -34,6 +34,7 @@ __all__ = [
     "recording_notes",
     "reserved_names",
     "report",
+    "report_dataset",
     "run",
     "verify",
 ]
@@ -85,6 +86,9 @@ def report(
     progress: bool,
 ) -> None:
     """See `harness.report`."""
+
+def report_dataset(dataset: str, output: Path, results: Path, progress: bool) -> None:
+    """Writes the page of a dataset; see `harness.report`."""
 
 def verify(results: Path) -> tuple[int, int, int, list[tuple[Path, str, str | None, bool]]]:
     """Numbers of runs, datasets and files, and the problems; see `harness.verify`."""

@@ -43,7 +43,7 @@ mod _harness {
     use super::replay::Replays;
     #[pymodule_export]
     use super::results::{
-        add_metric, answer, claims, collect, extract, figures, plot, recorded, report, verify,
+        add_metric, answer, claims, collect, extract, figures, plot, recorded, report, report_dataset, verify,
     };
     #[pymodule_export]
     use super::run::{Table, query, run};

@@ -6,12 +6,14 @@ use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
-use harness::experiment::{self, describe};
+use harness::dataset::AnyDataset;
+use harness::experiment::{self, describe, recording_notes};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::progress::Silent;
 use harness::registry::{OwnMetric, OwnValue, Registry, RegistryError, SPEC, quoted};
 use harness::report::ReportError;
+use harness::samples::FramePlace;
 use harness::simulation::Scene;
 use harness::spec::{self, Modality, Task};
 use pyo3::PyErr;
@@ -285,6 +287,32 @@ pub fn report(
     };
     interruptible(py, write, || cancelled.store(true, Ordering::Relaxed))??;
     warn(py, &registry)
+}
+
+/// Writes the page of a dataset; see `harness.report`.
+#[pyfunction]
+pub fn report_dataset(
+    py: Python,
+    dataset: &str,
+    output: PathBuf,
+    results: PathBuf,
+    progress: bool,
+) -> PyResult<()> {
+    let registry = existing(results)?;
+    let cancelled = AtomicBool::new(false);
+    let listener = Listener::new(progress, &cancelled);
+    let write = || -> PyResult<()> {
+        let dataset = AnyDataset::named(&registry.datasets(), dataset).map_err(Raise::raise)?;
+        let samples = dataset.load(FramePlace::Nowhere, &listener).map_err(Raise::raise)?;
+        let notes = match &dataset {
+            AnyDataset::Imported(_) => recording_notes(&samples).map_err(Raise::raise)?.1,
+            AnyDataset::Simulated(_) => Vec::new(),
+        };
+        let page = harness::report::dataset_page(&dataset, &samples, notes);
+        let page = page.map_err(|error| PyRuntimeError::new_err(describe(&error)))?;
+        write_bytes(&output, page.as_bytes()).map_err(|error| PyOSError::new_err(error.to_string()))
+    };
+    interruptible(py, write, || cancelled.store(true, Ordering::Relaxed))?
 }
 
 /// Returns the items with these names, or all of them without names. Raises ValueError for another name.

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from test_matrix import Place
 
+import harness
+
 LAG = 3
 """Number of samples by which the second sensor follows the first."""
 
@@ -61,6 +63,10 @@ def test_the_page_says_what_was_recorded(place: Place) -> None:
     (relation,) = re.findall(r"<td>bend</td><td>pad</td><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert float(relation[1]) == LAG / 10 and float(relation[2]) > 0.999 > float(relation[0])
     assert page == page_of(place, "squeeze")
+    again = harness.report(dataset="squeeze", output=place.folder / "again.html", results=place.folder / "results")
+    assert page == again.read_text()
+    with pytest.raises(ValueError, match="leave out experiments, where and quick"):
+        harness.report("smoke", dataset="squeeze")
     # What the import said.
     assert [cell.strip() for cell in cells(page, "all")[:2]] == ["1280", "10 Hz"] and "V from all.bend" in page
 
