@@ -2315,6 +2315,16 @@ fn folds_are_runs_so_that_their_number_and_the_test_are_not_chosen_as_well() {
     );
 }
 
+#[test]
+fn a_disturbance_is_overridden_key_by_key() {
+    for (given, name) in [("inputs={arm: {noise: 1}}", "NAME"), ("inputs.arm={noise: 1}", "arm")] {
+        let error = load_with(BASE, &[given], false).unwrap_err();
+        let expected = format!("is a section; override its keys one by one, such as inputs.{name}.noise=0.1");
+        assert!(error.contains(&expected), "{error}");
+    }
+    load_with(BASE, &["inputs.arm.noise=0.1"], false).unwrap();
+}
+
 /// A keyword that the checks overlook would bind editors alone, so each must be one that they know.
 #[test]
 fn the_checks_know_every_keyword_of_the_schemas() {

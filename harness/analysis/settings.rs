@@ -2,7 +2,7 @@
 
 use harness_registry::{Recorded, RunRecord, UNKNOWN, leaves, quoted};
 use harness_shared::numbers::{by_value, first_few};
-use harness_spec::{Layout, RunSpec, is_axis, label_in, setting_value};
+use harness_spec::{Layout, RunSpec, is_axis, label_in, setting_value, varied_setting};
 use rayon::prelude::*;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -290,7 +290,11 @@ impl FromStr for Setting {
         if key.trim().is_empty() {
             return Err(refused());
         }
-        Ok(Self { experiment, key: key.trim().to_owned(), value: value.trim().to_owned() })
+        let key = key.trim();
+        // A run stores the settings of outputs under other keys.
+        let stored = key.starts_with("outputs.").then(|| varied_setting(key)).flatten();
+        let key = stored.unwrap_or_else(|| key.to_owned());
+        Ok(Self { experiment, key, value: value.trim().to_owned() })
     }
 }
 

@@ -68,6 +68,12 @@ fn not_a_setting(key: &str, value: &str, names: &[&str]) -> String {
             shorten(key)
         );
     }
+    if key == "inputs" || key.strip_prefix("inputs.").is_some_and(|name| !name.contains('.')) {
+        let name = key.strip_prefix("inputs.").unwrap_or("NAME");
+        return format!(
+            "'{key}' is a section; override its keys one by one, such as inputs.{name}.noise=0.1"
+        );
+    }
     let prefix = format!("{key}.");
     let section: Vec<&str> = names.iter().filter(|name| name.starts_with(&prefix)).copied().collect();
     if section.is_empty() {
