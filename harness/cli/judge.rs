@@ -6,7 +6,7 @@ use super::run::Spec;
 use super::sheet::Style;
 use super::table::{print_beside, print_command, print_text, width};
 use super::{DONE, interrupt};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use harness::experiment::{
     ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Replay, Runner,
@@ -193,7 +193,10 @@ impl Known {
 
     fn predictions(self) -> Result<Predictions> {
         if let Some(world) = &self.world {
-            let factors = self.factors.into_iter().collect();
+            let factors: BTreeMap<String, f64> = self.factors.iter().cloned().collect();
+            if factors.len() < self.factors.len() {
+                bail!("a factor has one value; name each once with --factor");
+            }
             let scene = Scene::new(World::find(world)?).map_err(ExperimentError::from)?;
             return Ok(Predictions::Replayed(Replay { scene: Arc::new(scene), factors }));
         }

@@ -136,6 +136,8 @@ def test_factors_and_outputs_that_are_not_there_are_named(place: Place) -> None:
     for factors, output, message in [([], "tail", "factors: .* found none"), ("stiffness", ["tail"] * 2, "found tail, tail")]:
         with pytest.raises(ValueError, match=message):
             fit_world("lab", world, factors, output, results=results)
+    twice = place.call("judge", "real.yaml", "simulator", "--world", str(world), *["--factor", "stiffness=2"] * 2)
+    assert twice.returncode != 0 and "name each once with --factor" in twice.stderr, twice.stderr
     for given, message in [
         ("mass=2", "the factor 'mass': the factors of the world stiffer are stiffness, friction"),
         ("stiffness=20", r"the factor 'stiffness': 20 is outside of its range \[0.1, 10\] in the world file"),
