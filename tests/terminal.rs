@@ -221,7 +221,7 @@ fn a_run_ends_with_its_best_runs_baselines_place_and_next_steps() {
     for (lines, scenario) in best.chunks(2).zip(["empty", "cluttered"]) {
         let [best, baselines] = lines else { panic!("{said}") };
         assert!(best.starts_with(&format!("best run   in {scenario}: {scenario}-z4-seed0-")), "{said}");
-        assert!(best.contains(" (validation error per output ") && best.len() <= 80, "{said}");
+        assert!(best.contains(" (validation error ") && best.len() <= 80, "{said}");
         // The smoke run predicts five quantities of three outputs; ridge predicts no images.
         assert!(baselines.contains("persistence in ") && baselines.contains("training mean in "), "{said}");
         assert!(baselines.starts_with("baselines  beats "), "{said}");
@@ -261,7 +261,7 @@ fn the_best_runs_and_what_they_beat_are_those_of_the_tables() {
     for scenario in ["empty", "cluttered"] {
         let own = runs.iter().filter(|run| run.starts_with(scenario));
         let best = own.min_by(|a, b| error(a).total_cmp(&error(b))).unwrap();
-        let start = format!("\nbest run   in {scenario}: {best} (validation error per output ");
+        let start = format!("\nbest run   in {scenario}: {best} (validation error ");
         let (_, told) = said.split_once(&start).unwrap_or_else(|| panic!("no {start}: {said}"));
         let metrics = ask(&format!(
             "select model, modality, metric, value from metrics where run = '{best}' and task = 'prediction' \

@@ -386,7 +386,7 @@ fn error_words(error: f64) -> String {
     /// From this error on, its digits say nothing.
     const HUGE: f64 = 1000.0;
     if error < HUGE {
-        return format!("validation error per output {}", rounded(error));
+        return format!("validation error {}", rounded(error));
     }
     "an output varies far more in the validation samples than in the training samples".to_owned()
 }
