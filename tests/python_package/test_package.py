@@ -737,6 +737,7 @@ def test_what_is_returned_has_the_types_of_the_stubs(
         "report": lambda: _harness.report(
             ["smoke"], tmp_path / "report.html", Path("claims"), False, [], results, False
         ),
+        "report_dataset": lambda: _harness.report_dataset("cluttered", tmp_path / "dataset.html", results, False),
         "verify": lambda: _harness.verify(results),
         "recorded": lambda: _harness.recorded("smoke", run, results),
         "Replays.ranges": replays.ranges,
