@@ -199,6 +199,21 @@ class PredictionTask(_harness.Task):
         """Returns the windows of the test without targets."""
         return Windows(self, self.windows("test"), False)
 
+    def labels(self) -> polars.DataFrame:
+        """Returns the labels of the episodes of an imported dataset, a row for each, in the order of `bounds()`.
+
+        They are texts, and null where an episode has none. With them, models can weight or hold out groups. A simulated
+        dataset has no labels.
+
+        Raises:
+            OSError: the description of the dataset can't be read.
+        """
+        import polars
+
+        description = read_json(Path(self.results) / "datasets" / self.dataset / "dataset.json")
+        episodes = description.get("imported", {}).get("episodes", [])
+        return polars.DataFrame([episode.get("labels", {}) for episode in episodes])
+
     def torch(self, part: str = "train") -> WindowDataset:
         """Returns the windows of a part as a PyTorch map-style dataset; see `harness.torch.WindowDataset`.
 

@@ -98,6 +98,7 @@ def test_groups_are_in_one_part(tmp_path):
     # By default, whole trials are divided at random, as the dataset says.
     stored = json.loads((results / "datasets" / dataset / "dataset.json").read_text())["imported"]["split"]
     assert stored == {"by": "trial", "seed": 0}
+    assert task.labels()["object"].to_list() == labels["object"].to_list()
     parts = harness.task(spec(tmp_path, dataset, {}), results=results)
     last = parts.bounds()[-1][0]
     assert not {int(at) for at in parts.test_inputs().samples} & set(range(last, last + 200))
