@@ -187,8 +187,8 @@ impl Mean {
     }
 
     /// Returns the mean of the differences from `base`, the column with this heading, over the seeds of dataset and
-    /// training that both have; `None` if they share none. A baseline has no seed of training, so its value is compared with every value on the same
-    /// dataset. Both must be of the same scenario, so that the values are of the same data.
+    /// training that both have; `None` if they share none. A baseline has no seed of training, so its value is compared
+    /// with every value on the same dataset. Both must be of the same scenario, so that the values are of the same data.
     pub(super) fn difference_from(&self, base: &Mean, heading: &str) -> Option<Self> {
         let key = |(dataset, seed): &(u64, u64)| (*dataset, (!base.of.is_baseline()).then_some(*seed));
         let places: HashMap<_, usize> = base.seeds.iter().map(key).zip(0..).collect();

@@ -7,7 +7,7 @@ use super::table::shown;
 use anyhow::Result;
 use clap::Args;
 use harness::dataset::AnyDataset;
-use harness::experiment::recording_notes;
+use harness::experiment::dataset_notes;
 use harness::files::write_bytes;
 use harness::registry::Registry;
 use harness::report::Asked;
@@ -54,11 +54,7 @@ impl Report {
             Some(name) => {
                 let dataset = AnyDataset::named(&registry.datasets(), name)?;
                 let samples = dataset.load(FramePlace::Nowhere, &progress)?;
-                let notes = match &dataset {
-                    AnyDataset::Imported(_) => recording_notes(&samples)?.1,
-                    AnyDataset::Simulated(_) => Vec::new(),
-                };
-                report::dataset_page(&dataset, &samples, notes)?
+                report::dataset_page(&dataset, &samples, dataset_notes(&dataset, &samples)?)?
             }
             None => {
                 let claims = claims::load(&self.claims)?;

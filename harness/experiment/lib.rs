@@ -17,7 +17,7 @@ mod worlds;
 pub use export::{attached, may_have_network, network_files, onnx};
 pub use external::{External, JudgedRun, OpenTask, PredictionTask, Predictions, SubmissionError};
 pub use model::{Model, ModelError, Values};
-pub use recorded::recording_notes;
+pub use recorded::{dataset_notes, recording_notes};
 pub use rollout::{Rollout, RolloutError, rollout};
 pub use schedule::Summary;
 pub use search::{Best, best};

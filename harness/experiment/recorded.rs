@@ -3,6 +3,7 @@
 use super::ExperimentError;
 use harness_judge::{Given, JudgeError, Ridge, Test, judge};
 use harness_metrics::Metric;
+use harness_registry::dataset::AnyDataset;
 use harness_samples::{Normalizers, Partition, Sample, Samples};
 use harness_shared::numbers::{counted, first_few};
 use harness_spec::{
@@ -45,6 +46,17 @@ pub fn recording_notes(samples: &Samples) -> Result<(String, Vec<String>), Exper
         None => vec!["this split leaves no training samples; runs must ask for another one".to_owned()],
     };
     Ok((told, notes))
+}
+
+/// Says what may be wrong with a dataset, as [`recording_notes`] does. Nothing is said of a simulated one.
+///
+/// # Errors
+/// When a value is not finite.
+pub fn dataset_notes(dataset: &AnyDataset, samples: &Samples) -> Result<Vec<String>, ExperimentError> {
+    match dataset {
+        AnyDataset::Imported(_) => Ok(recording_notes(samples)?.1),
+        AnyDataset::Simulated(_) => Ok(Vec::new()),
+    }
 }
 
 /// Says which groups are in which part of a split that keeps episodes.

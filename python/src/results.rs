@@ -7,7 +7,7 @@ use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::dataset::AnyDataset;
-use harness::experiment::{self, describe, recording_notes};
+use harness::experiment::{self, dataset_notes, describe};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::progress::Silent;
@@ -304,10 +304,7 @@ pub fn report_dataset(
     let write = || -> PyResult<()> {
         let dataset = AnyDataset::named(&registry.datasets(), dataset).map_err(Raise::raise)?;
         let samples = dataset.load(FramePlace::Nowhere, &listener).map_err(Raise::raise)?;
-        let notes = match &dataset {
-            AnyDataset::Imported(_) => recording_notes(&samples).map_err(Raise::raise)?.1,
-            AnyDataset::Simulated(_) => Vec::new(),
-        };
+        let notes = dataset_notes(&dataset, &samples).map_err(Raise::raise)?;
         let page = harness::report::dataset_page(&dataset, &samples, notes);
         let page = page.map_err(|error| PyRuntimeError::new_err(describe(&error)))?;
         write_bytes(&output, page.as_bytes()).map_err(|error| PyOSError::new_err(error.to_string()))
