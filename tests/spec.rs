@@ -222,7 +222,7 @@ fn only_inputs_are_disturbed_by_what_they_can_have() {
         ),
         (
             "given: [{arm: {blur: 1}}]\n",
-            "spec.yaml:7:22: 'arm' is a vector, which has no blur; use noise, bias, drift, delay, dropped or dead",
+            "spec.yaml:7:22: 'arm' is a vector, which has no blur; use noise, bias, drift, delay, dropped, dead or only",
         ),
         ("given: [{}]\n", "spec.yaml:7:9: a network needs an input; name at least one"),
         (
@@ -232,7 +232,7 @@ fn only_inputs_are_disturbed_by_what_they_can_have() {
         (
             "inputs: {arm: {lag: 1}}\n",
             "spec.yaml:7:16: unknown key 'lag' in 'inputs.arm'. Allowed: noise, bias, drift, delay, dropped, dead, \
-             occlusion, blur",
+             only, occlusion, blur",
         ),
     ]);
 }

@@ -110,7 +110,10 @@ impl Disturbed<'_> {
         };
         let (bias, drift) = (normal("bias", self.of.bias), normal("drift", self.of.drift));
         let mut dead = self.stream("dead", episode);
-        let dead: Vec<bool> = (0..width).map(|_| dead.random_bool(self.of.dead)).collect();
+        let only = &self.of.only;
+        let lacks = |element| !only.is_empty() && !only.contains(&element);
+        let dead: Vec<bool> =
+            (0..width).map(|element| dead.random_bool(self.of.dead) || lacks(element)).collect();
         let mut noise = self.stream("noise", episode);
         let rate = self.samples.recording.sample_rate_hz;
         let sensed = values.iter().enumerate().map(|(place, value)| {

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 ///
 /// Strengths of `noise`, `bias` and `drift` are standard deviations, in units of the standard deviation by which the
 /// input is scaled for the network (`scaling`).
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Disturbance {
     /// Gaussian noise on each value of each sample.
@@ -37,6 +37,11 @@ pub struct Disturbance {
     #[serde(skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub dead: f64,
+    /// The elements of a vector that have a sensor, by the number of their column, from 0. The others are 0. Without a
+    /// list, all have one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub only: Vec<usize>,
     /// Part of an image that is gray: a rectangle like the image, at a place that is drawn for each episode.
     #[serde(skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -69,10 +74,15 @@ impl Disturbance {
 
     /// Returns the first setting that an image, or a vector, can't have.
     pub fn unsuitable(&self, is_image: bool) -> Option<&'static str> {
-        let of_vectors = [("bias", self.bias), ("drift", self.drift), ("dead", self.dead)];
-        let of_images = [("occlusion", self.occlusion), ("blur", self.blur)];
-        let others: &[(&str, f64)] = if is_image { &of_vectors } else { &of_images };
-        others.iter().find(|(_, value)| *value != 0.0).map(|(key, _)| *key)
+        let of_vectors = [
+            ("bias", self.bias != 0.0),
+            ("drift", self.drift != 0.0),
+            ("dead", self.dead != 0.0),
+            ("only", !self.only.is_empty()),
+        ];
+        let of_images = [("occlusion", self.occlusion != 0.0), ("blur", self.blur != 0.0)];
+        let others: &[(&str, bool)] = if is_image { &of_vectors } else { &of_images };
+        others.iter().find(|(_, is_set)| *is_set).map(|(key, _)| *key)
     }
 
     /// Returns a sentence about the first setting that a modality can't have, after its key.
@@ -86,8 +96,17 @@ impl Disturbance {
                 "'{modality}' is computed from the images of '{of}'; disturb '{of}' instead, if it is an input"
             ));
         }
-        self.unsuitable(definition.is_image())
-            .map_or(Ok(()), |key| Err(unsuitable(modality, key, definition.is_image())))
+        if let Some(key) = self.unsuitable(definition.is_image()) {
+            return Err(unsuitable(modality, key, definition.is_image()));
+        }
+        let width = definition.width();
+        match self.only.iter().find(|element| **element >= width) {
+            Some(element) => Err(format!(
+                "'{modality}' has no element {element}, as 'only' says; its elements are 0 to {}",
+                width - 1
+            )),
+            None => Ok(()),
+        }
     }
 }
 
@@ -98,7 +117,8 @@ pub(super) fn unsuitable(modality: Modality, key: &str, is_image: bool) -> Strin
             "'{modality}' is an image, which has no {key}; use noise, delay, dropped, occlusion or blur"
         ),
         false => format!(
-            "'{modality}' is a vector, which has no {key}; use noise, bias, drift, delay, dropped or dead"
+            "'{modality}' is a vector, which has no {key}; use noise, bias, drift, delay, dropped, dead \
+             or only"
         ),
     }
 }

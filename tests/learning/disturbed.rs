@@ -85,8 +85,13 @@ fn samples_that_are_late_or_lost_repeat_earlier_ones_of_the_episode() {
     );
     assert!(lost.windows(2).any(is_held) && !lost.windows(2).all(is_held), "{lost:?}");
     assert_eq!(arrived(Disturbance { dropped: 1.0, ..none() }, 9), 0);
-    let (recorded, sensed, _) = with(ANGLES, Disturbance { dead: 1.0, ..none() }, "test");
+    let (_, sensed, _) = with(ANGLES, Disturbance { dead: 1.0, ..none() }, "test");
     assert!(sensed.vectors(ANGLES).iter().all(|value| *value == 0.0));
+    let (recorded, sensed, _) = with(ANGLES, Disturbance { only: vec![3, 0], ..none() }, "test");
+    let width = recorded.layout()[ANGLES].width();
+    for (place, (value, recorded)) in sensed.vectors(ANGLES).iter().zip(recorded.vectors(ANGLES)).enumerate() {
+        assert_eq!(*value, if [0, 3].contains(&(place % width)) { *recorded } else { 0.0 });
+    }
     // Nothing else changes.
     assert_eq!(sensed.vectors(Modality::ARM), recorded.vectors(Modality::ARM));
     assert_eq!(sensed.image(Modality::VISION), recorded.image(Modality::VISION));
