@@ -448,6 +448,14 @@ impl Judgment<'_> {
         }
     }
 
+    /// Half of the interval's width, if the claim is undecided or not testable: a value that is farther from the
+    /// condition's bound would have been decided by as many data. `None` without an interval.
+    pub fn resolution(&self) -> Option<f64> {
+        let is_open = matches!(self.verdict(), Verdict::Undecided | Verdict::NotTestable);
+        let (low, high) = self.interval()?.bounds?;
+        is_open.then_some((high - low) / 2.0)
+    }
+
     /// The two-sided p-value of a t-test against the condition's bound. `None` unless the claim holds, does not hold,
     /// or is undecided, and if all values are equal.
     pub fn p_value(&self) -> Option<f64> {

@@ -157,6 +157,14 @@ impl Claims {
         if let Some(columns) = explanation {
             print_text(columns);
         }
+        if columns
+            .iter()
+            .any(|(_, judgments)| judgments.iter().any(|judgment| judgment.resolution().is_some()))
+        {
+            print_text(
+                "(±h): a value that is farther than h from the bound of its condition would have been decided",
+            );
+        }
         print_text("--all prints the statements, values and requirements");
     }
 
@@ -474,10 +482,12 @@ fn value(judgment: &Judgment) -> String {
     judgment.interval().map_or("-".into(), |interval| interval.to_string())
 }
 
-/// The verdict, with a mark if it does not stand after the correction for several tests.
+/// The verdict, with a mark if it does not stand after the correction for several tests, and with what would have been
+/// decided if it is open.
 fn verdict((judgment, corrected): &(&Judgment, Option<f64>)) -> String {
     let mark = if judgment.stands(*corrected) { "" } else { " *" };
-    format!("{}{mark}", judgment.verdict())
+    let resolution = judgment.resolution().map_or(String::new(), |half| format!(" (±{})", rounded(half)));
+    format!("{}{mark}{resolution}", judgment.verdict())
 }
 
 fn scenario(judgment: &Judgment) -> &'static str {
