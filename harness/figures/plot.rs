@@ -245,8 +245,8 @@ impl Plot {
         let between = 12.0;
         let width = (COLUMN - left - 4.0 - between * (columns as f64 - 1.0)) / columns as f64;
         let names: Vec<String> = slots.iter().map(|value| plain(value.text())).collect();
-        let name_rows = rows_of_names(&names, width / names.len() as f64);
-        let below = BELOW + ROW * (name_rows as f64 - 1.0);
+        let way = NamesWay::of(&names, width / names.len() as f64);
+        let below = BELOW + way.extra(&names);
         let top = 8.0 + 9.0 * legends.len() as f64 + if self.facet.is_some() { 12.0 } else { 4.0 };
         let rows = panels.len().div_ceil(columns);
         let bottom = top + rows as f64 * (HEIGHT + below);
@@ -271,7 +271,7 @@ impl Plot {
                 panel.heading(&mut page, &letter, &plain(panel_value.text()));
             }
             let centers = panel.slots(slots.len());
-            self.name(&mut page, &panel, &centers, &names, name_rows);
+            self.name(&mut page, &panel, &centers, &names, way);
             let slot = width / slots.len() as f64;
             if all.len() > 1 {
                 for center in &centers[1..] {
@@ -315,19 +315,26 @@ impl Plot {
         named
     }
 
-    /// Writes the names along the horizontal axis, in several rows if they are long.
-    fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], rows: usize) {
-        if rows == 1 {
+    /// Writes the names along the horizontal axis.
+    fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], way: NamesWay) {
+        if way == NamesWay::Rows(1) {
             return panel.bottom_names(page, slots, names, name_of(self.x));
         }
         let none = vec![String::new(); names.len()];
         panel.bottom_names(page, slots, &none, "");
         for (place, (x, name)) in slots.iter().zip(names).enumerate() {
-            let half = Type::SMALL.width(name) / 2.0;
-            let x = x.clamp(panel.left.min(half), (COLUMN - half).max(panel.left));
-            page.text(name, [x, panel.bottom() + 8.7 + ROW * (place % rows) as f64], Type::SMALL);
+            match way {
+                NamesWay::Rows(rows) => {
+                    let half = Type::SMALL.width(name) / 2.0;
+                    let x = x.clamp(panel.left.min(half), (COLUMN - half).max(panel.left));
+                    page.text(name, [x, panel.bottom() + 8.7 + ROW * (place % rows) as f64], Type::SMALL);
+                }
+                NamesWay::Upright => {
+                    page.text(name, [x + 2.2, panel.bottom() + 4.0], Type::SMALL.upright().end());
+                }
+            }
         }
-        let y = panel.bottom() + 17.7 + ROW * (rows as f64 - 1.0);
+        let y = panel.bottom() + 17.7 + way.extra(names);
         page.text(name_of(self.x), [panel.left + panel.width / 2.0, y], Type::LABEL);
     }
 }
@@ -511,10 +518,31 @@ pub(super) fn rows_of<'a>(entries: &[(Look, &'a str)]) -> Vec<Vec<(Look, &'a str
     rows
 }
 
-/// In how many rows names have to be written, so that those of a row do not overlap.
-fn rows_of_names(names: &[String], slot: f64) -> usize {
-    let widest = names.iter().map(|name| Type::SMALL.width(name) + 4.0).fold(0.0, f64::max);
-    ((widest / slot).ceil() as usize).clamp(1, names.len().clamp(1, 4))
+/// How names are written along a horizontal axis, so that they do not overlap.
+#[derive(Clone, Copy, PartialEq)]
+enum NamesWay {
+    /// In so many rows, one after the other.
+    Rows(usize),
+    /// Each reads upwards, because there would be too many rows.
+    Upright,
+}
+
+impl NamesWay {
+    fn of(names: &[String], slot: f64) -> Self {
+        let widest = names.iter().map(|name| Type::SMALL.width(name) + 4.0).fold(0.0, f64::max);
+        match (widest / slot).ceil() as usize {
+            rows if rows <= 4 || names.len() <= 4 => Self::Rows(rows.clamp(1, names.len().max(1))),
+            _ => Self::Upright,
+        }
+    }
+
+    /// The height that the names take besides that of one row, points.
+    fn extra(self, names: &[String]) -> f64 {
+        match self {
+            Self::Rows(rows) => ROW * (rows as f64 - 1.0),
+            Self::Upright => names.iter().map(|name| Type::SMALL.width(name)).fold(0.0, f64::max) + 4.0 - ROW,
+        }
+    }
 }
 
 /// The range of the vertical axis. It includes the mean of every network but outliers. An interval or a baseline may be
