@@ -340,6 +340,17 @@ fn every_svg_is_whole_self_contained_and_within_its_page() {
     }
 }
 
+#[test]
+fn the_text_of_a_pdf_is_text_in_a_font_of_the_program() {
+    for figure in Figure::OF_THE_PAPER {
+        let pdf = read(&DRAWN, figure, "pdf");
+        let has = |words: &str| pdf.windows(words.len()).any(|place| place == words.as_bytes());
+        assert!(pdf.starts_with(b"%PDF-"), "{}", figure.name());
+        // Programs that search or copy a text need the map from glyphs to letters.
+        assert!(has("+Roboto-Regular") && has("/ToUnicode"), "{}", figure.name());
+    }
+}
+
 pub fn assert_whole(svg: &str, name: &str) {
     let document = roxmltree::Document::parse(svg).unwrap();
     // The SVG must need no font and no other file.
@@ -361,7 +372,7 @@ fn the_same_tables_give_the_same_bytes() {
     let again = fresh("figures_again");
     succeed(&RESULTS, &["figures", "--output", again.to_str().unwrap(), "--threads", "1"]);
     for figure in Figure::OF_THE_PAPER {
-        for ending in ["svg", "png", "csv"] {
+        for ending in ["svg", "png", "pdf", "csv"] {
             assert!(
                 read(&DRAWN, figure, ending) == read(&again, figure, ending),
                 "{} {ending}",
@@ -602,7 +613,7 @@ fn only_the_formats_that_are_asked_for_are_written() {
     succeed(&RESULTS, &[&arguments[..], &["svg,csv"]].concat());
     assert_eq!(files().len(), 3);
     let refused = finish(&mut harness(&RESULTS, &[&arguments[..], &["pdf"]].concat()));
-    assert!(refused.code == 2 && refused.stderr.contains("svg, png, csv"), "{}", refused.stderr);
+    assert!(refused.code == 2 && refused.stderr.contains("svg, png, pdf, csv"), "{}", refused.stderr);
 }
 
 #[test]

@@ -154,5 +154,5 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
         assert!(refusal.contains(expected), "{refusal}");
     }
     let ending = finish(&mut harness(&RESULTS, &[&asked[..], &["--output", "plot.pdf"]].concat()));
-    assert!(ending.stderr.contains("must end in .svg, .png or .csv"), "{}", ending.stderr);
+    assert!(ending.stderr.contains("must end in .svg, .png, .pdf or .csv"), "{}", ending.stderr);
 }

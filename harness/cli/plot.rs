@@ -22,7 +22,7 @@ pub struct Plot {
     /// The key that distinguishes panels
     #[arg(long, value_name = "KEY", value_parser = key())]
     facet: Option<Key>,
-    /// The file to write: .svg, .png, or .csv with the numbers
+    /// The file to write: .svg, .png, .pdf, or .csv with the numbers
     #[arg(long, short, value_name = "FILE", default_value = "plot.svg", value_parser = output)]
     output: (PathBuf, Format),
 }

@@ -16,6 +16,7 @@ mod horizon;
 mod information_loss_arch;
 mod moment;
 pub mod page;
+mod pdf;
 mod plot;
 mod prediction_results;
 mod predictive_arch;
@@ -241,19 +242,22 @@ pub enum Format {
     Svg,
     /// The page as a PNG of 600 pixels per inch.
     Png,
+    /// The page as a PDF document, whose text can be searched and copied.
+    Pdf,
     /// The numbers that the figure shows.
     Csv,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Format; 3] = [Format::Svg, Format::Png, Format::Csv];
+    pub const ALL: [Format; 4] = [Format::Svg, Format::Png, Format::Pdf, Format::Csv];
 
     /// The extension of the file's name, without the dot.
     pub fn name(self) -> &'static str {
         match self {
             Format::Svg => "svg",
             Format::Png => "png",
+            Format::Pdf => "pdf",
             Format::Csv => "csv",
         }
     }
@@ -265,7 +269,7 @@ impl Format {
     pub fn of(path: &Path) -> Result<Self, String> {
         let ending = path.extension().and_then(OsStr::to_str);
         let found = Self::ALL.into_iter().find(|format| Some(format.name()) == ending);
-        found.ok_or_else(|| "the file's name must end in .svg, .png or .csv".into())
+        found.ok_or_else(|| "the file's name must end in .svg, .png, .pdf or .csv".into())
     }
 }
 
@@ -429,7 +433,7 @@ impl Drawing {
     /// Writes `<folder>/<name>.<format>` for each format.
     ///
     /// # Errors
-    /// When the PNG can't be drawn, or a file can't be written.
+    /// When the PNG or PDF can't be drawn, or a file can't be written.
     pub fn save(mut self, folder: &Path, name: &str, formats: &[Format]) -> Result<(), FigureError> {
         let svg = self.page.svg();
         for format in formats {
@@ -441,7 +445,7 @@ impl Drawing {
     /// Writes one file.
     ///
     /// # Errors
-    /// When the PNG can't be drawn, or the file can't be written.
+    /// When the PNG or PDF can't be drawn, or the file can't be written.
     pub fn save_as(mut self, path: &Path, format: Format) -> Result<(), FigureError> {
         let svg = self.page.svg();
         self.write(&svg, path, format)
@@ -451,6 +455,7 @@ impl Drawing {
         match format {
             Format::Svg => write_bytes(path, svg.as_bytes())?,
             Format::Png => write_bytes(path, &Page::png(svg)?)?,
+            Format::Pdf => write_bytes(path, &self.page.pdf()?)?,
             Format::Csv => save(&mut self.data, path)?,
         }
         Ok(())

@@ -1,10 +1,10 @@
-//! A page with shapes, text and pictures. Lengths are in points. A page is saved as SVG, or as a PNG of that SVG.
+//! A page with shapes, text and pictures. Lengths are in points. A page is saved as SVG, or as a PNG or PDF of that SVG.
 //!
 //! The project has no plotting library, because one would help with only four of the paper's nine figures. Pictures
 //! with labels, grids of frames and diagrams of networks need a page like this one. Axes are in the module `axes`.
 
 use super::FigureError;
-use super::text::{self, EM, Face};
+use super::text::{self, EM, Face, Line};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use image::{DynamicImage, ImageFormat, RgbImage};
@@ -157,14 +157,75 @@ pub struct Page {
     width: f64,
     height: f64,
     title: String,
-    body: String,
-    glyphs: BTreeSet<(Face, u32)>,
+    parts: Vec<Part>,
+}
+
+/// A part of a page. Later parts lie above earlier ones.
+pub(super) enum Part {
+    /// SVG elements without text.
+    Shapes(String),
+    /// A line of text.
+    Text(Text),
+}
+
+/// A line of text on a page.
+pub(super) struct Text {
+    /// The letters.
+    pub line: Line,
+    /// Where the line's anchor is.
+    pub at: Point,
+    /// How it is set.
+    pub how: Type,
+}
+
+impl Text {
+    /// The position and rotation of the line's own coordinates as SVG writes them. The anchor is at their origin.
+    fn placement(&self) -> String {
+        let [x, y] = self.at.map(number);
+        format!("translate({x} {y}){}", if self.how.upright { " rotate(-90)" } else { "" })
+    }
+
+    /// Where the line begins, in points along it from its anchor.
+    pub fn start(&self) -> f64 {
+        match self.how.anchor {
+            Anchor::Start => 0.0,
+            Anchor::Middle => -self.line.width / 2.0,
+            Anchor::End => -self.line.width,
+        }
+    }
+
+    /// The line as SVG, with the outlines of `glyphs` that are defined elsewhere in the document.
+    fn svg(&self) -> String {
+        let mut svg = format!(
+            "<g role=\"img\" aria-label=\"{}\" fill=\"{}\" transform=\"{}\">",
+            escaped(&self.line.plain),
+            self.how.color,
+            self.placement()
+        );
+        for glyph in &self.line.glyphs {
+            if text::outline(glyph.face, glyph.id).is_empty() {
+                continue;
+            }
+            let scale = glyph.size / EM;
+            // Writing to a string can't fail.
+            let _ = write!(
+                svg,
+                "<use href=\"#{}\" transform=\"matrix({scale:.5} 0 0 {:.5} {} {})\"/>",
+                glyph_name(glyph.face, glyph.id),
+                -scale,
+                number(self.start() + glyph.x),
+                number(-glyph.rise),
+            );
+        }
+        svg.push_str("</g>\n");
+        svg
+    }
 }
 
 impl Page {
     /// An empty page of this width and height in points. The title describes the page to screen readers.
     pub fn new(width: f64, height: f64, title: &str) -> Self {
-        Self { width, height, title: title.to_owned(), body: String::new(), glyphs: BTreeSet::new() }
+        Self { width, height, title: title.to_owned(), parts: Vec::new() }
     }
 
     /// The width of the page, points.
@@ -179,9 +240,14 @@ impl Page {
     }
 
     fn put(&mut self, element: std::fmt::Arguments) {
-        // Writing to a string can't fail.
-        let _ = self.body.write_fmt(element);
-        self.body.push('\n');
+        if !matches!(self.parts.last(), Some(Part::Shapes(_))) {
+            self.parts.push(Part::Shapes(String::new()));
+        }
+        if let Some(Part::Shapes(shapes)) = self.parts.last_mut() {
+            // Writing to a string can't fail.
+            let _ = shapes.write_fmt(element);
+            shapes.push('\n');
+        }
     }
 
     /// Draws a straight line.
@@ -323,34 +389,7 @@ impl Page {
     /// and `*…*` italic.
     pub fn text(&mut self, text: &str, at: Point, how: Type) {
         let line = text::line(text, how.face, how.size);
-        let shift = match how.anchor {
-            Anchor::Start => 0.0,
-            Anchor::Middle => -line.width / 2.0,
-            Anchor::End => -line.width,
-        };
-        let turn = if how.upright { " rotate(-90)" } else { "" };
-        let [x, y] = at.map(number);
-        self.put(format_args!(
-            "<g role=\"img\" aria-label=\"{}\" fill=\"{}\" transform=\"translate({x} {y}){turn}\">",
-            escaped(&line.plain),
-            how.color
-        ));
-        for glyph in &line.glyphs {
-            if text::outline(glyph.face, glyph.id).is_empty() {
-                continue;
-            }
-            self.glyphs.insert((glyph.face, glyph.id));
-            let scale = glyph.size / EM;
-            let _ = write!(
-                self.body,
-                "<use href=\"#{}\" transform=\"matrix({scale:.5} 0 0 {:.5} {} {})\"/>",
-                glyph_name(glyph.face, glyph.id),
-                -scale,
-                number(shift + glyph.x),
-                number(-glyph.rise),
-            );
-        }
-        self.put(format_args!("</g>"));
+        self.parts.push(Part::Text(Text { line, at, how }));
     }
 
     /// Places a picture with its upper left corner at `corner`, scaled to `size` points. With `crisp`, an enlarged
@@ -385,11 +424,14 @@ impl Page {
     pub fn svg(&self) -> String {
         let (width, height) = (number(self.width), number(self.height));
         let title = escaped(&self.title);
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}pt\" height=\"{height}pt\" \
-             viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\n<title>{title}</title>\n<defs>\n"
-        );
-        for (face, id) in &self.glyphs {
+        let mut svg = format!("{}<title>{title}</title>\n<defs>\n", self.head());
+        let texts = self.parts.iter().filter_map(|part| match part {
+            Part::Text(text) => Some(&text.line.glyphs),
+            Part::Shapes(_) => None,
+        });
+        let glyphs: BTreeSet<(Face, u32)> = texts.flatten().map(|glyph| (glyph.face, glyph.id)).collect();
+        let has_outline = |(face, id): &&(Face, u32)| !text::outline(*face, *id).is_empty();
+        for (face, id) in glyphs.iter().filter(has_outline) {
             let _ = writeln!(
                 svg,
                 "<path id=\"{}\" d=\"{}\"/>",
@@ -397,12 +439,37 @@ impl Page {
                 text::outline(*face, *id)
             );
         }
-        let _ = write!(
-            svg,
-            "</defs>\n<rect width=\"{width}\" height=\"{height}\" fill=\"{WHITE}\"/>\n{}</svg>\n",
-            self.body
-        );
+        let _ = write!(svg, "</defs>\n<rect width=\"{width}\" height=\"{height}\" fill=\"{WHITE}\"/>\n");
+        for part in &self.parts {
+            match part {
+                Part::Shapes(shapes) => svg.push_str(shapes),
+                Part::Text(text) => svg.push_str(&text.svg()),
+            }
+        }
+        svg.push_str("</svg>\n");
         svg
+    }
+
+    /// The beginning of the page's SVG document.
+    fn head(&self) -> String {
+        let (width, height, title) = (number(self.width), number(self.height), escaped(&self.title));
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}pt\" height=\"{height}pt\" \
+             viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\n"
+        )
+    }
+
+    /// The page as a PDF document, in which text stays text.
+    ///
+    /// # Errors
+    /// When the PDF can't be written.
+    pub fn pdf(&self) -> Result<Vec<u8>, FigureError> {
+        let document = |shapes: &str| {
+            let svg = format!("{}{shapes}</svg>", self.head());
+            usvg::Tree::from_str(&svg, &usvg::Options::default()).map_err(|error| error.to_string())
+        };
+        super::pdf::write([self.width, self.height], &self.title, &self.parts, document)
+            .map_err(FigureError::Picture)
     }
 
     /// Renders the SVG document `svg` as a PNG of 600 pixels per inch and returns the file's bytes.

@@ -46,14 +46,15 @@ pub struct Line {
 /// The size of letters in subscripts and superscripts, relative to the other letters.
 const SCRIPT: f64 = 0.72;
 
-static FONTS: LazyLock<[FontRef<'static>; 3]> = LazyLock::new(|| {
-    let font = |bytes: &'static [u8]| FontRef::new(bytes).expect("the fonts are part of the program");
-    [
-        font(include_bytes!("fonts/Roboto-Regular.ttf")),
-        font(include_bytes!("fonts/Roboto-Bold.ttf")),
-        font(include_bytes!("fonts/Roboto-Italic.ttf")),
-    ]
-});
+/// The files of the font, in the order of [`Face`].
+pub const FILES: [&[u8]; 3] = [
+    include_bytes!("fonts/Roboto-Regular.ttf"),
+    include_bytes!("fonts/Roboto-Bold.ttf"),
+    include_bytes!("fonts/Roboto-Italic.ttf"),
+];
+
+static FONTS: LazyLock<[FontRef<'static>; 3]> =
+    LazyLock::new(|| FILES.map(|file| FontRef::new(file).expect("the fonts are part of the program")));
 
 /// Number of font units per em. Outlines are in these units.
 pub const EM: f64 = 2048.0;

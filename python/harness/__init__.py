@@ -472,7 +472,7 @@ def claims(
 def figures(
     *names: str,
     folder: str | os.PathLike[str] = "figures",
-    formats: str | Iterable[str] = ("svg", "png", "csv"),
+    formats: str | Iterable[str] = ("svg", "png", "pdf", "csv"),
     quick: bool = False,
     single: str | None = None,
     multi: str | None = None,
@@ -486,8 +486,8 @@ def figures(
 
     Args:
         names: names of figures. Without any, all figures are drawn for which there are runs.
-        folder: the folder to write `NAME.svg`, `NAME.png` and `NAME.csv` to.
-        formats: which of these files to write: `svg`, `png`, `csv` or several of them.
+        folder: the folder to write `NAME.svg`, `NAME.png`, `NAME.pdf` and `NAME.csv` to.
+        formats: which of these files to write: `svg`, `png`, `pdf`, `csv` or several of them.
         quick: draws the quick runs of the experiments.
         single: the experiment to draw instead of `single_to_multi`.
         multi: the experiment to draw instead of `multi_to_multi`.
@@ -512,7 +512,7 @@ def figures(
     """
     formats = name_tuple(formats)
     if not formats:
-        raise ValueError("formats: there is none; allowed: svg, png, csv")
+        raise ValueError("formats: there is none; allowed: svg, png, pdf, csv")
     if reading is not None and (single is not None or multi is not None):
         raise ValueError("reading: it replaces single and multi; leave these out")
     if experiment is not None and (quick or single is not None or multi is not None or reading is not None):
@@ -555,7 +555,7 @@ def plot(
         x: the key along the horizontal axis.
         metrics: the metric along the vertical axis, such as `r2`.
         facet: the key that distinguishes panels.
-        output: the file to write. It ends in `.svg`, `.png`, or `.csv` for the numbers.
+        output: the file to write. It ends in `.svg`, `.png`, `.pdf`, or `.csv` for the numbers.
         results: the folder of datasets and runs.
         question: the other arguments of `answer`. The keys of `by` distinguish series. The default of `models` is
             `network`, and that of `task` the prediction, or both if `task` is one of the keys.

@@ -89,7 +89,8 @@ fn samples_that_are_late_or_lost_repeat_earlier_ones_of_the_episode() {
     assert!(sensed.vectors(ANGLES).iter().all(|value| *value == 0.0));
     let (recorded, sensed, _) = with(ANGLES, Disturbance { only: vec![3, 0], ..none() }, "test");
     let width = recorded.layout()[ANGLES].width();
-    for (place, (value, recorded)) in sensed.vectors(ANGLES).iter().zip(recorded.vectors(ANGLES)).enumerate() {
+    for (place, (value, recorded)) in sensed.vectors(ANGLES).iter().zip(recorded.vectors(ANGLES)).enumerate()
+    {
         assert_eq!(*value, if [0, 3].contains(&(place % width)) { *recorded } else { 0.0 });
     }
     // Nothing else changes.
