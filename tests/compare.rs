@@ -358,6 +358,11 @@ fn many_columns_of_a_text_are_rows() {
         "{short}"
     );
     assert!(all.contains("\nridge, all_senses ") && !all.contains("left out"), "{all}");
+    // The name of an axis is a key.
+    assert_eq!(row(&print(&["--by", "senses"])), row(&short));
+    let wrong = finish(&mut harness(&results, &["compare", "smoke", "--by", "sensors"]));
+    assert!(wrong.code == 2 && wrong.stderr.contains("'sensors'"), "{}", wrong.stderr);
+    assert!(wrong.stderr.contains("an axis of these runs: senses"), "{}", wrong.stderr);
 }
 
 /// Options of a random question about runs of the experiment `smoke`.

@@ -7,7 +7,7 @@ use super::{
 use harness_judge::models::NETWORK;
 use harness_metrics::{Metric, best, higher_is_better, label, rounded};
 use harness_shared::numbers::Natural;
-use harness_spec::{Modality, Origin, Task, model_parts, variant_parts};
+use harness_spec::{Modality, Origin, Task, is_axis, model_parts, variant_parts};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -213,10 +213,11 @@ impl Place {
 }
 
 /// The value of a setting with the name of the setting, as in a variant: `hidden=64`. Modalities say that they are an
-/// input.
+/// input, and the labels of an axis say what they are.
 fn with_key(key: &str, value: &str) -> String {
     match key.split_once('.').map_or(key, |(_section, name)| name) {
         "input" => value.to_owned(),
+        axis if axis != "reading" && is_axis(axis) => value.to_owned(),
         name => format!("{name}={value}"),
     }
 }

@@ -1,7 +1,7 @@
 //! The keys by which means are told apart.
 
 use super::settings::OF_RUNS;
-use harness_spec::{intern, varied_setting};
+use harness_spec::{intern, is_axis, varied_setting};
 use std::str::FromStr;
 
 /// A key by which means are told apart.
@@ -27,15 +27,15 @@ pub enum Key {
     Modality,
     /// The metric.
     Metric,
-    /// One setting of a spec, such as `input`, by its dotted key.
+    /// One setting of a spec, such as `input`, by its dotted key, or an axis of a spec with labels, by its name.
     Setting(&'static str),
 }
 
 impl FromStr for Key {
     type Err = String;
 
-    /// Reads the name of a key, or the key of a setting. A setting can be given without its section, as in the column
-    /// `variant`, if no other setting has the same name.
+    /// Reads the name of a key, the key of a setting, or what may be the name of an axis. A setting can be given without
+    /// its section, as in the column `variant`, if no other setting has the same name.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "seed" {
             return Err(
@@ -45,7 +45,8 @@ impl FromStr for Key {
         let named = Self::ALL.into_iter().find(|key| key.name() == text);
         let of_runs = || OF_RUNS.into_iter().find(|key| *key == text).map(Self::Setting);
         let setting = || Some(Self::Setting(intern(&varied_setting(text)?)));
-        named.or_else(of_runs).or_else(setting).ok_or_else(|| {
+        let axis = || is_axis(text).then(|| Self::Setting(intern(text)));
+        named.or_else(of_runs).or_else(setting).or_else(axis).ok_or_else(|| {
             let allowed = Self::ALL.map(Self::name).join(", ");
             format!(
                 "there is no key '{text}'; allowed: {allowed}, or a setting, such as input or network.hidden"
@@ -99,7 +100,7 @@ impl Key {
             Key::Task => "Prediction or reconstruction",
             Key::Modality => "The predicted modality",
             Key::Metric => "The metric",
-            Key::Setting(_) => "A setting of a spec",
+            Key::Setting(_) => "A setting or an axis of a spec",
         }
     }
 }

@@ -109,6 +109,19 @@ pub enum AnalysisError {
         /// The values that its finished runs have for these settings.
         there: Vec<Difference>,
     },
+    /// A key is neither one of those of every run, nor a setting, nor an axis of a run.
+    #[error(
+        "there is no key '{wanted}'; allowed: {}, a setting, such as input or network.hidden, or an axis of these runs: \
+         {}",
+        Key::ALL.map(Key::name).join(", "),
+        if axes.is_empty() { "none".to_owned() } else { axes.join(", ") }
+    )]
+    UnknownKey {
+        /// The key.
+        wanted: String,
+        /// The axes that runs have labels of.
+        axes: Vec<String>,
+    },
     /// No run has a setting with the requested key.
     #[error(
         "no run has a setting '{wanted}'; {}",
@@ -292,6 +305,11 @@ impl Run {
     /// Path of the run's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// The names of the axes that the run has labels of.
+    pub(crate) fn axes(&self) -> impl Iterator<Item = &str> {
+        settings::axes(&self.settings)
     }
 
     /// The run's value of a setting, also if it is a default that its record does not store.

@@ -3,13 +3,13 @@
 use super::rows::Row;
 use super::skill::{skill_horizons, skills};
 use super::undefined::undefined;
-use super::{Analysis, AnalysisError, Answer, Key, Labels, Mean, Over, Setting, predicted, usual_key};
+use super::{Analysis, AnalysisError, Answer, Key, Labels, Mean, Over, Run, Setting, predicted, usual_key};
 use harness_catalog::{OVERALL, QueryError, rows};
 use harness_judge::models::{self, baselines_in_sql};
 use harness_metrics::Metric;
 use harness_registry::Registry;
 use harness_shared::numbers::counted;
-use harness_spec::{Modality, RunSpec, Task, model_parts};
+use harness_spec::{Modality, RunSpec, Task, is_axis, model_parts};
 use harness_sql::text_in_sql;
 use harness_tables::schema::{GIVEN, HORIZON, Table};
 use polars::prelude::DataFrame;
@@ -130,6 +130,7 @@ impl Question {
             return Err(AnalysisError::Scenarios);
         }
         self.check_models(analysis)?;
+        self.check_axes(analysis)?;
         self.check_given(analysis)?;
         let table = self.read(analysis)?;
         let mut rows = self.rows(analysis, &table)?;
@@ -321,6 +322,20 @@ impl Question {
                 let known = known.into_iter().map(str::to_owned).collect();
                 Err(AnalysisError::UnknownModel { wanted: wanted.clone(), known })
             }
+        }
+    }
+
+    /// Returns an error if a key is neither a setting nor the name of an axis of a run.
+    fn check_axes(&self, analysis: &Analysis) -> Result<(), AnalysisError> {
+        let runs = analysis.experiments().flat_map(|name| analysis.runs(name));
+        let axes: BTreeSet<&str> = runs.flat_map(Run::axes).collect();
+        let of_axes = self.by.iter().filter_map(|key| key.setting()).filter(|name| is_axis(name));
+        match of_axes.into_iter().find(|name| !axes.contains(name)) {
+            Some(wanted) => Err(AnalysisError::UnknownKey {
+                wanted: wanted.to_owned(),
+                axes: axes.into_iter().map(str::to_owned).collect(),
+            }),
+            None => Ok(()),
         }
     }
 

@@ -243,8 +243,12 @@ fn named(variant: &str) -> impl Iterator<Item = &str> {
 
 /// The keys of a run's settings, and the names of the axes of its labels.
 pub(super) fn keys(run: &Settings) -> impl Iterator<Item = &str> {
-    let axes = run.get(VARIANT).into_iter().flat_map(|variant| named(variant)).filter(|name| is_axis(name));
-    run.keys().map(String::as_str).chain(axes)
+    run.keys().map(String::as_str).chain(axes(run))
+}
+
+/// The names of the axes that a run has labels of.
+pub(super) fn axes(run: &Settings) -> impl Iterator<Item = &str> {
+    run.get(VARIANT).into_iter().flat_map(|variant| named(variant)).filter(|name| is_axis(name))
 }
 
 /// Whether every run's variant names the setting, and all runs with the same variant have the same value.

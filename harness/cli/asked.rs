@@ -130,7 +130,8 @@ impl TypedValueParser for KeyParser {
             return Ok(key);
         }
         named.parse_ref(command, arg, value).map_err(|mut error| {
-            let of_settings = "settings of a spec are possible too, such as input or network.hidden";
+            let of_settings =
+                "settings and axes of a spec are possible too, such as input, network.hidden or senses";
             let hint = StyledStr::from(if value.is_empty() { DIVIDED } else { of_settings });
             error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![hint]));
             error
