@@ -636,7 +636,9 @@ fn means_are_told_apart_by_any_varied_setting() {
     }
     let refused = finish(&mut harness(&results, &[&OF_NETWORKS[..], &["--by", "hiden"]].concat()));
     assert!(
-        refused.stderr.starts_with("error: invalid value 'hiden' for '--by <KEY>'"),
+        refused
+            .stderr
+            .starts_with("error: there is no key 'hiden'; did you mean 'network.hidden'? allowed: "),
         "{}",
         refused.stderr
     );
@@ -984,7 +986,7 @@ fn a_comparison_of_nothing_is_refused() {
             &["compare", "--metrics", "r2,", "rmse"],
             "error: invalid value '' for '--metrics <METRIC>': a list has no spaces and no comma at its end",
         ),
-        (&RESULTS, &["compare", "--by", "size"], "error: invalid value 'size' for '--by <KEY>'"),
+        (&RESULTS, &["compare", "--by", "size"], "error: there is no key 'size'; "),
         (
             &RESULTS,
             &["compare", "--of", "force"],

@@ -320,9 +320,10 @@ fn all_nine_are_drawn_from_tables_alone() {
     assert!(!RESULTS.join("datasets").exists());
     let names: BTreeSet<String> =
         fs::read_dir(&*DRAWN).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
-    let ending = |figure: &Figure| ["csv", "png", "svg"].map(|ending| format!("{}.{ending}", figure.name()));
+    let ending =
+        |figure: &Figure| ["csv", "pdf", "png", "svg"].map(|ending| format!("{}.{ending}", figure.name()));
     assert_eq!(names, Figure::OF_THE_PAPER.iter().flat_map(ending).collect());
-    assert_eq!(names.len(), 9 * 3);
+    assert_eq!(names.len(), 9 * 4);
     for figure in Figure::OF_THE_PAPER {
         let picture = image::load_from_memory(&read(&DRAWN, figure, "png")).unwrap().into_rgb8();
         // 8.5 cm at 600 pixels per inch.
@@ -612,7 +613,7 @@ fn only_the_formats_that_are_asked_for_are_written() {
     assert!(read(&out, Figure::ForcesDataset, "png") == read(&DRAWN, Figure::ForcesDataset, "png"));
     succeed(&RESULTS, &[&arguments[..], &["svg,csv"]].concat());
     assert_eq!(files().len(), 3);
-    let refused = finish(&mut harness(&RESULTS, &[&arguments[..], &["pdf"]].concat()));
+    let refused = finish(&mut harness(&RESULTS, &[&arguments[..], &["eps"]].concat()));
     assert!(refused.code == 2 && refused.stderr.contains("svg, png, pdf, csv"), "{}", refused.stderr);
 }
 

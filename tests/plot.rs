@@ -153,6 +153,6 @@ fn a_plot_that_cannot_be_drawn_says_what_to_do() {
         let refusal = refused(&[option, several]);
         assert!(refusal.contains(expected), "{refusal}");
     }
-    let ending = finish(&mut harness(&RESULTS, &[&asked[..], &["--output", "plot.pdf"]].concat()));
+    let ending = finish(&mut harness(&RESULTS, &[&asked[..], &["--output", "plot.eps"]].concat()));
     assert!(ending.stderr.contains("must end in .svg, .png, .pdf or .csv"), "{}", ending.stderr);
 }

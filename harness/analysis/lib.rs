@@ -111,8 +111,8 @@ pub enum AnalysisError {
     },
     /// A key is neither one of those of every run, nor a setting, nor an axis of a run.
     #[error(
-        "there is no key '{wanted}'; allowed: {}, a setting, such as input or network.hidden, or an axis of these runs: \
-         {}",
+        "there is no key '{wanted}'{}allowed: {}, a setting, such as input or network.hidden, or an axis of these runs: {}",
+        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()),
         Key::ALL.map(Key::name).join(", "),
         if axes.is_empty() { "none".to_owned() } else { axes.join(", ") }
     )]
@@ -121,6 +121,8 @@ pub enum AnalysisError {
         wanted: String,
         /// The axes that runs have labels of.
         axes: Vec<String>,
+        /// The keys, axes and settings of the runs.
+        known: Vec<String>,
     },
     /// No run has a setting with the requested key.
     #[error(
@@ -310,6 +312,11 @@ impl Run {
     /// The names of the axes that the run has labels of.
     pub(crate) fn axes(&self) -> impl Iterator<Item = &str> {
         settings::axes(&self.settings)
+    }
+
+    /// The keys of the run's settings, and the names of its axes.
+    pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
+        settings::keys(&self.settings)
     }
 
     /// The run's value of a setting, also if it is a default that its record does not store.

@@ -327,14 +327,19 @@ impl Question {
 
     /// Returns an error if a key is neither a setting nor the name of an axis of a run.
     fn check_axes(&self, analysis: &Analysis) -> Result<(), AnalysisError> {
-        let runs = analysis.experiments().flat_map(|name| analysis.runs(name));
-        let axes: BTreeSet<&str> = runs.flat_map(Run::axes).collect();
+        let runs = || analysis.experiments().flat_map(|name| analysis.runs(name));
+        let axes: BTreeSet<&str> = runs().flat_map(Run::axes).collect();
         let of_axes = self.by.iter().filter_map(|key| key.setting()).filter(|name| is_axis(name));
         match of_axes.into_iter().find(|name| !axes.contains(name)) {
-            Some(wanted) => Err(AnalysisError::UnknownKey {
-                wanted: wanted.to_owned(),
-                axes: axes.into_iter().map(str::to_owned).collect(),
-            }),
+            Some(wanted) => {
+                let settings: BTreeSet<&str> = runs().flat_map(Run::keys).collect();
+                let keys = Key::ALL.into_iter().map(|key| key.name().to_owned());
+                Err(AnalysisError::UnknownKey {
+                    wanted: wanted.to_owned(),
+                    known: keys.chain(settings.into_iter().map(str::to_owned)).collect(),
+                    axes: axes.into_iter().map(str::to_owned).collect(),
+                })
+            }
             None => Ok(()),
         }
     }

@@ -549,7 +549,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("figure", ValueError, "there is no figure 'nothing'; allowed: .*regression"),
         ("format", ValueError, "there is no format 'gif'; allowed: svg, png, pdf, csv"),
         ("runs", RuntimeError, "regression was not drawn: "),
-        ("plot key", ValueError, "there is no key 'latents'; allowed: experiment, scenario, latent"),
+        ("plot key", ValueError, "there is no key 'latents'; did you mean 'latent'"),
         ("plot metric", ValueError, "there is no metric 'R2'; did you mean 'r2'"),
         ("plot ending", ValueError, r"must end in \.svg, \.png or \.csv"),
         ("plot series", ValueError, "the means differ in modality"),
