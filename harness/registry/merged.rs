@@ -16,6 +16,7 @@ use harness_tables::schema::Table;
 use harness_tables::{Stamp, TableError, packed_table, sealed_table, stacked};
 use polars::prelude::{DataFrame, PolarsError};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat_n;
 use std::path::{Path, PathBuf};
@@ -24,16 +25,45 @@ use std::sync::Arc;
 /// The file with the records of an experiment's published runs.
 pub const RECORDS: &str = "records.json";
 
+/// The key of a run's layout in its record.
+const LAYOUT: &str = "layout";
+
 /// The ending of a file that replaces the one of the same name.
 pub(super) const NEW: &str = ".new";
 
 /// The content of the file.
-#[derive(Default, Serialize, Deserialize)]
+#[derive(Default, Deserialize)]
+#[serde(try_from = "Stored")]
 pub(super) struct Merged {
     /// The records list only the files that runs have for themselves: networks.
     records: Vec<RunRecord>,
     /// The tables by the names of their files.
     pub tables: BTreeMap<String, MergedTable>,
+}
+
+/// The content of the file as it is stored: most runs of an experiment have the same layout, which is long.
+#[derive(Deserialize)]
+struct Stored {
+    /// The records. `layout` is a place in `layouts`; without this list, it is the layout itself.
+    records: Vec<Value>,
+    #[serde(default)]
+    layouts: Vec<Value>,
+    tables: BTreeMap<String, MergedTable>,
+}
+
+impl TryFrom<Stored> for Merged {
+    type Error = serde_json::Error;
+
+    fn try_from(Stored { records, layouts, tables }: Stored) -> Result<Self, serde_json::Error> {
+        let record = |mut record: Value| {
+            let place = record.get(LAYOUT).and_then(Value::as_u64);
+            if let Some(layout) = place.and_then(|place| layouts.get(place as usize)) {
+                record[LAYOUT] = layout.clone();
+            }
+            serde_json::from_value(record)
+        };
+        Ok(Self { records: records.into_iter().map(record).collect::<Result<_, _>>()?, tables })
+    }
 }
 
 /// A file with the rows of several runs.
@@ -256,13 +286,28 @@ impl Merged {
             path: path.clone(),
             reason: error.to_string(),
         };
+        let mut layouts: Vec<String> = Vec::new();
+        let mut line = |record: &RunRecord| {
+            let (text, own) = (serde_json::to_string(record)?, serde_json::to_string(&*record.layout)?);
+            // A record without a layout has that of the finger.
+            let Some((before, after)) = text.split_once(&format!("\"{LAYOUT}\":{own}")) else {
+                return Ok(text);
+            };
+            let place = layouts.iter().position(|layout| *layout == own).unwrap_or_else(|| {
+                layouts.push(own);
+                layouts.len() - 1
+            });
+            Ok(format!("{before}\"{LAYOUT}\":{place}{after}"))
+        };
         let records: Vec<String> =
-            self.records.iter().map(serde_json::to_string).collect::<Result<_, _>>().map_err(unwritable)?;
-        let (records, tables) =
-            (records.join(",\n"), serde_json::to_string(&self.tables).map_err(unwritable)?);
+            self.records.iter().map(&mut line).collect::<Result<_, _>>().map_err(unwritable)?;
+        let (records, layouts) = (records.join(",\n"), layouts.join(",\n"));
+        let tables = serde_json::to_string(&self.tables).map_err(unwritable)?;
         let (key, blank) = (seal::KEY, seal::BLANK);
-        let text =
-            format!("{{\n\"records\": [\n{records}\n],\n\"tables\": {tables},\n\"{key}\": \"{blank}\"\n}}\n");
+        let text = format!(
+            "{{\n\"records\": [\n{records}\n],\n\"layouts\": [\n{layouts}\n],\n\"tables\": {tables},\n\"{key}\": \
+             \"{blank}\"\n}}\n"
+        );
         Ok(seal::write(&path, text.into_bytes())?)
     }
 
