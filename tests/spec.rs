@@ -206,6 +206,11 @@ fn only_inputs_are_disturbed_by_what_they_can_have() {
     let run = runs("given: [without_each, {arm: {delay: 2, noise: 0.1}, proprioception: {}}]\n").remove(0);
     let names: Vec<&str> = run.given.iter().map(spec::Given::name).collect();
     assert_eq!(names, ["proprioception", "arm", "arm noise=0.1 delay=2,proprioception"]);
+    // The order of elements has no meaning, and equal tests are made once.
+    assert_eq!(hash("inputs: {arm: {only: [2, 0]}}\n"), hash("inputs: {arm: {only: [0, 2]}}\n"));
+    let run = runs("given: [[arm], {arm: {}}, {arm: {only: [2, 0]}}, {arm: {only: [0, 2]}}]\n").remove(0);
+    let names: Vec<&str> = run.given.iter().map(spec::Given::name).collect();
+    assert_eq!(names, ["arm", "arm only=0+2"]);
     // A model of another program gets what was recorded.
     let external = runs("inputs: {arm: {noise: 0.1}}\ngiven: each\n").remove(0).external("other", "", 0);
     assert!(external.inputs.is_empty() && external.given.is_empty());
@@ -228,6 +233,11 @@ fn only_inputs_are_disturbed_by_what_they_can_have() {
         (
             "inputs: {arm: {noise: -1}}\n",
             "spec.yaml:7:23: 'inputs.arm.noise': expected a finite number of at least 0 and at most 1000, found -1",
+        ),
+        (
+            "inputs: {arm: {only: []}}\n",
+            "spec.yaml:7:22: 'inputs.arm.only': expected a list of at least one item, each an integer of at \
+             least 0, found an empty list",
         ),
         (
             "inputs: {arm: {lag: 1}}\n",

@@ -228,8 +228,9 @@ fn is_simulated(run: &Settings) -> bool {
 /// The run's value of the setting `key`, or its label of the axis with this name, or [`UNSET`].
 pub(super) fn value<'a>(run: &'a Settings, key: &str) -> &'a str {
     let label = || is_axis(key).then(|| label_in(run.get(VARIANT)?, key)).flatten();
-    // A spec has no disturbances of strength 0.
-    let undisturbed = || key.starts_with("inputs.").then_some("0");
+    // A spec has no disturbances of strength 0, and no list of all elements.
+    let strength = || if key.ends_with(".only") { "all" } else { "0" };
+    let undisturbed = || key.starts_with("inputs.").then(strength);
     // A test names only another world than that of its run.
     let same_world = || run.get(SCENARIO).filter(|_| key == TEST_WORLD && is_simulated(run));
     let own = run.get(key).or_else(same_world).map(String::as_str);

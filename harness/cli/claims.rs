@@ -162,7 +162,8 @@ impl Claims {
             .any(|(_, judgments)| judgments.iter().any(|judgment| judgment.resolution().is_some()))
         {
             print_text(
-                "(±h): a value that is farther than h from the bound of its condition would have been decided",
+                "(±h): half of the interval's width. An undecided claim whose value is farther than h from the bound of its condition \
+                 would have been decided",
             );
         }
         print_text("--all prints the statements, values and requirements");

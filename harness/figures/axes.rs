@@ -330,17 +330,41 @@ pub fn color_legend(page: &mut Page, middle: f64, y: f64, entries: &[(&'static s
     }
 }
 
-/// Writes remarks below the panels of a page as wide as a column, one per line from `y` on.
-pub fn remarks(page: &mut Page, y: f64, lines: impl IntoIterator<Item = impl AsRef<str>>) {
-    for (row, line) in lines.into_iter().enumerate() {
-        remark(page, line.as_ref(), [COLUMN / 2.0, y + 8.5 * row as f64]);
+/// The height of a line of remarks, points.
+const REMARK: f64 = 8.5;
+
+/// Writes remarks below the panels of a page as wide as a column, from `y` on. The page has room for a line for each, and
+/// grows by those that are too long for one.
+pub fn remarks(page: &mut Page, y: f64, remarks: impl IntoIterator<Item = impl AsRef<str>>) {
+    let remarks: Vec<Vec<String>> = remarks.into_iter().map(|text| lines_of(text.as_ref(), COLUMN)).collect();
+    let lines = remarks.concat();
+    page.grow(REMARK * (lines.len() - remarks.len()) as f64);
+    for (row, line) in lines.iter().enumerate() {
+        remark(page, line, [COLUMN / 2.0, y + REMARK * row as f64]);
     }
 }
 
-/// Makes the page higher by a line, and writes a remark there.
+/// Makes the page higher by a remark, and writes it there.
 pub fn remark_below(page: &mut Page, text: &str) {
-    let bottom = page.grow(8.5);
-    remark(page, text, [page.width() / 2.0, bottom + 4.0]);
+    for line in lines_of(text, page.width()) {
+        let bottom = page.grow(REMARK);
+        remark(page, &line, [page.width() / 2.0, bottom + 4.0]);
+    }
+}
+
+/// Divides a remark into lines that fit a page of this width in points. A word that does not fit has its own line.
+fn lines_of(text: &str, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if Type::SMALL.width(&format!("{line} {word}")) <= width - 6.0 => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// A mean with two decimals and, if it has an interval, half of the interval's width: `0.91 ± 0.02`.

@@ -388,6 +388,9 @@ impl Page {
     /// Writes a line of text with its base line at the point. In the text, `_{…}` is a subscript, `^{…}` a superscript,
     /// and `*…*` italic.
     pub fn text(&mut self, text: &str, at: Point, how: Type) {
+        if text.is_empty() {
+            return;
+        }
         let line = text::line(text, how.face, how.size);
         self.parts.push(Part::Text(Text { line, at, how }));
     }

@@ -245,7 +245,7 @@ impl Plot {
         let between = 12.0;
         let width = (COLUMN - left - 4.0 - between * (columns as f64 - 1.0)) / columns as f64;
         let names: Vec<String> = slots.iter().map(|value| plain(value.text())).collect();
-        let way = NamesWay::of(&names, width / names.len() as f64);
+        let way = NamesWay::of(&names, width);
         let below = BELOW + way.extra(&names);
         let top = 8.0 + 9.0 * legends.len() as f64 + if self.facet.is_some() { 12.0 } else { 4.0 };
         let rows = panels.len().div_ceil(columns);
@@ -317,17 +317,14 @@ impl Plot {
 
     /// Writes the names along the horizontal axis.
     fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], way: NamesWay) {
-        if way == NamesWay::Rows(1) {
-            return panel.bottom_names(page, slots, names, name_of(self.x));
-        }
         let none = vec![String::new(); names.len()];
         panel.bottom_names(page, slots, &none, "");
         for (place, (x, name)) in slots.iter().zip(names).enumerate() {
             match way {
                 NamesWay::Rows(rows) => {
-                    let half = Type::SMALL.width(name) / 2.0;
-                    let x = x.clamp(panel.left.min(half), (COLUMN - half).max(panel.left));
-                    page.text(name, [x, panel.bottom() + 8.7 + ROW * (place % rows) as f64], Type::SMALL);
+                    let middle = panel.left + middle(name, x - panel.left, panel.width);
+                    let y = panel.bottom() + 8.7 + ROW * (place % rows) as f64;
+                    page.text(name, [middle, y], Type::SMALL);
                 }
                 NamesWay::Upright => {
                     page.text(name, [x + 2.2, panel.bottom() + 4.0], Type::SMALL.upright().end());
@@ -518,22 +515,37 @@ pub(super) fn rows_of<'a>(entries: &[(Look, &'a str)]) -> Vec<Vec<(Look, &'a str
     rows
 }
 
+/// Where the middle of a name is along a panel of this width, so that the panel contains the name. Below a point at
+/// `center`, if it does. In points.
+fn middle(name: &str, center: f64, width: f64) -> f64 {
+    let half = (Type::SMALL.width(name) / 2.0).min(width / 2.0);
+    center.clamp(half, width - half)
+}
+
 /// How names are written along a horizontal axis, so that they do not overlap.
 #[derive(Clone, Copy, PartialEq)]
 enum NamesWay {
     /// In so many rows, one after the other.
     Rows(usize),
-    /// Each reads upwards, because there would be too many rows.
+    /// Each reads upwards, because there would be too many rows, or a name is wider than the panel.
     Upright,
 }
 
 impl NamesWay {
-    fn of(names: &[String], slot: f64) -> Self {
-        let widest = names.iter().map(|name| Type::SMALL.width(name) + 4.0).fold(0.0, f64::max);
-        match (widest / slot).ceil() as usize {
-            rows if rows <= 4 || names.len() <= 4 => Self::Rows(rows.clamp(1, names.len().max(1))),
-            _ => Self::Upright,
-        }
+    /// The way for a panel of this width in points.
+    fn of(names: &[String], width: f64) -> Self {
+        let slot = width / names.len() as f64;
+        let fit = |rows: usize| {
+            let ends = |place: usize| {
+                let half = Type::SMALL.width(&names[place]) / 2.0;
+                let middle = middle(&names[place], (place as f64 + 0.5) * slot, width);
+                [middle - half, middle + half]
+            };
+            let is_within = |place: usize| ends(place)[1] - ends(place)[0] <= width;
+            let are_apart = |place: usize| ends(place)[1] + 3.0 <= ends(place + rows)[0];
+            (0..names.len()).all(is_within) && (0..names.len().saturating_sub(rows)).all(are_apart)
+        };
+        (1..=names.len().min(4)).find(|rows| fit(*rows)).map_or(Self::Upright, Self::Rows)
     }
 
     /// The height that the names take besides that of one row, points.

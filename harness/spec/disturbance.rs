@@ -2,7 +2,8 @@
 
 use crate::layout::{Definition, Modality};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// What is wrong with a sensor. Targets, and the inputs of baselines that repeat or average targets, are as recorded.
@@ -39,8 +40,8 @@ pub struct Disturbance {
     pub dead: f64,
     /// The elements of a vector that have a sensor, by the number of their column, from 0. The others are 0. Without a
     /// list, all have one.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schemars(extend("uniqueItems" = true))]
+    #[serde(skip_serializing_if = "Vec::is_empty", deserialize_with = "sorted")]
+    #[schemars(length(min = 1), extend("uniqueItems" = true))]
     pub only: Vec<usize>,
     /// Part of an image that is gray: a rectangle like the image, at a place that is drawn for each episode.
     #[serde(skip_serializing_if = "is_zero")]
@@ -59,6 +60,13 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// Reads numbers whose order has no meaning.
+fn sorted<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<usize>, D::Error> {
+    let mut numbers = Vec::deserialize(from)?;
+    numbers.sort_unstable();
+    Ok(numbers)
+}
+
 fn is_none(count: &usize) -> bool {
     *count == 0
 }
@@ -68,7 +76,7 @@ impl Disturbance {
     pub fn named(&self, modality: Modality) -> String {
         let settings = serde_json::to_value(self).unwrap_or_default();
         let settings = settings.as_object().into_iter().flatten();
-        let settings = settings.map(|(key, value)| format!("{key}={value}"));
+        let settings = settings.map(|(key, value)| format!("{key}={}", in_name(value)));
         std::iter::once(modality.name().to_owned()).chain(settings).collect::<Vec<_>>().join(" ")
     }
 
@@ -107,6 +115,14 @@ impl Disturbance {
             )),
             None => Ok(()),
         }
+    }
+}
+
+/// A value in a name, whose parts are separated by commas: `1+3` for a list.
+fn in_name(value: &Value) -> String {
+    match value.as_array() {
+        Some(items) => items.iter().map(Value::to_string).collect::<Vec<_>>().join("+"),
+        None => value.to_string(),
     }
 }
 

@@ -354,8 +354,21 @@ pub(super) fn is_setting(key: &str) -> bool {
 
 /// Whether a name may be that of an axis with labels: no setting has it, and nothing else that tells runs apart.
 pub fn is_axis(name: &str) -> bool {
-    const OTHERS: [&str; 8] =
-        ["scenario", "seed", "variant", "model", "trial", "dataset", "world", "revision"];
+    const OTHERS: [&str; 13] = [
+        "scenario",
+        "seed",
+        "variant",
+        "model",
+        "trial",
+        "dataset",
+        "world",
+        "revision",
+        "experiment",
+        "settings",
+        "task",
+        "modality",
+        "metric",
+    ];
     static SETTINGS: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
         let sections = properties(&SCHEMA).map(|(name, _)| name.clone());
         let names = setting_names().into_iter().map(|key| match key.split_once('.') {

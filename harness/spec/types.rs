@@ -11,7 +11,7 @@ use crate::layout::{GivenScalings, Layout, Modality, by_modality, intern, names,
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The action that conditions the decoder.
@@ -664,7 +664,9 @@ impl Experiment {
         subsets.dedup();
         subsets.retain(|inputs| !inputs.is_empty() && inputs.len() < self.input.len());
         let disturbed = self.given.iter().filter(|given| matches!(given, Given::Disturbed(_))).cloned();
-        subsets.into_iter().map(Given::Inputs).chain(disturbed).collect()
+        let mut names = BTreeSet::new();
+        let tests = subsets.into_iter().map(Given::Inputs).chain(disturbed);
+        tests.filter(|given| names.insert(given.name())).collect()
     }
 }
 
