@@ -154,6 +154,21 @@ fn intervals_of_differences_within_datasets_keep_their_level() {
     }
 }
 
+/// A claim about the best of several sizes is about the mean of the best over datasets.
+#[test]
+fn intervals_of_the_best_of_several_networks_cover_its_mean() {
+    // The mean of the smallest of so many independent standard normal numbers (Harter, 1961, Biometrika 48).
+    for (networks, smallest) in [(3, -0.846_28), (4, -1.029_38)] {
+        for datasets in [3, 4] {
+            let coverage = coverage(|random| {
+                let best = |_| (0..networks).map(|_| normal(random)).fold(f64::INFINITY, f64::min);
+                (0..datasets).map(best).map(|best| TRUTH + 0.1 * (best - smallest)).collect()
+            });
+            assert_covers(coverage, &format!("{networks} networks, {datasets} datasets"));
+        }
+    }
+}
+
 #[test]
 fn several_datasets_count_by_their_means_and_one_by_its_seeds() {
     assert_eq!(replicates([(0, 1.0), (0, 3.0), (7, 5.0)]), [2.0, 5.0]);
