@@ -455,7 +455,7 @@ impl Drawing {
         match format {
             Format::Svg => write_bytes(path, svg.as_bytes())?,
             Format::Png => write_bytes(path, &Page::png(svg)?)?,
-            Format::Pdf => write_bytes(path, &self.page.pdf()?)?,
+            Format::Pdf => write_bytes(path, &pdf::write(&self.page).map_err(FigureError::Picture)?)?,
             Format::Csv => save(&mut self.data, path)?,
         }
         Ok(())

@@ -462,17 +462,27 @@ impl Page {
         )
     }
 
-    /// The page as a PDF document, in which text stays text.
+    /// The parts of the page, from the lowest to the highest.
+    pub(super) fn parts(&self) -> &[Part] {
+        &self.parts
+    }
+
+    /// The words that describe the page to screen readers.
+    pub(super) fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// The width and the height of the page, points.
+    pub(super) fn size(&self) -> [f64; 2] {
+        [self.width, self.height]
+    }
+
+    /// SVG elements as the only ones of the page.
     ///
     /// # Errors
-    /// When the PDF can't be written.
-    pub fn pdf(&self) -> Result<Vec<u8>, FigureError> {
-        let document = |shapes: &str| {
-            let svg = format!("{}{shapes}</svg>", self.head());
-            usvg::Tree::from_str(&svg, &usvg::Options::default()).map_err(|error| error.to_string())
-        };
-        super::pdf::write([self.width, self.height], &self.title, &self.parts, document)
-            .map_err(FigureError::Picture)
+    /// When they aren't valid SVG.
+    pub(super) fn with_only(&self, shapes: &str) -> Result<usvg::Tree, usvg::Error> {
+        usvg::Tree::from_str(&format!("{}{shapes}</svg>", self.head()), &usvg::Options::default())
     }
 
     /// Renders the SVG document `svg` as a PNG of 600 pixels per inch and returns the file's bytes.

@@ -1,6 +1,6 @@
 //! Writes a page as PDF. Its text is text in fonts that are part of the document, so that it can be searched and copied.
 
-use super::page::{Part, Text};
+use super::page::{Page, Part, Text};
 use super::text::FILES;
 use krilla::Document;
 use krilla::color::rgb;
@@ -13,34 +13,31 @@ use krilla::paint::{Fill, FillRule, LineCap, Stroke, StrokeDash};
 use krilla::surface::Surface;
 use krilla::text::{Font, GlyphId, KrillaGlyph};
 use resvg::tiny_skia::PathSegment;
-use resvg::usvg::{self, ImageKind, ImageRendering, Node, Paint, Tree};
+use resvg::usvg::{self, ImageKind, ImageRendering, Node, Paint};
 
 /// Points per unit of a document that usvg has read.
 const POINTS: f32 = 0.75;
 
-/// Returns the PDF of a page of this size in points. `document` reads shapes as the only ones of the page.
+/// Returns the PDF of a page.
 ///
 /// # Errors
 /// When a part can't be read, has something that no page has, or the PDF can't be written. The message says why.
-pub fn write(
-    [width, height]: [f64; 2],
-    title: &str,
-    parts: &[Part],
-    document: impl Fn(&str) -> Result<Tree, String>,
-) -> Result<Vec<u8>, String> {
+pub fn write(from: &Page) -> Result<Vec<u8>, String> {
+    let [width, height] = from.size();
     let settings = PageSettings::from_wh(width as f32, height as f32).ok_or("the page has no size")?;
     let fonts = FILES.map(|file| Font::new(file.into(), 0));
     let [Some(regular), Some(bold), Some(italic)] = fonts else { return Err("a font can't be read".into()) };
     let fonts = [regular, bold, italic];
     let mut pdf = Document::new();
-    pdf.set_metadata(Metadata::new().title(title.to_owned()));
+    pdf.set_metadata(Metadata::new().title(from.title().to_owned()));
     let mut page = pdf.start_page_with(settings);
     let mut surface = page.surface();
-    for part in parts {
+    for part in from.parts() {
         match part {
             Part::Shapes(shapes) => {
+                let tree = from.with_only(shapes).map_err(|error| error.to_string())?;
                 surface.push_transform(&Transform::from_scale(POINTS, POINTS));
-                draw_nodes(&mut surface, document(shapes)?.root().children())?;
+                draw_nodes(&mut surface, tree.root().children())?;
                 surface.pop();
             }
             Part::Text(text) => draw_text(&mut surface, text, &fonts)?,
