@@ -17,6 +17,7 @@ SENSORS = ["contact_force", "contact_force_mean"]
 SETTINGS = {
     "scenarios": "cluttered",
     "simulation.seed": 6,
+    "simulation.episodes": 200,
     "test.episodes": 100,
     "test.seed": 6,
     "training.epochs": 10,

@@ -377,7 +377,7 @@ fn messages_are_broken_between_words_and_commands_are_not() {
         (&["show", "nothing"][..], Some("`harness ls`")),
         (&["run", "nothing"], None),
         (&["query", "select foo from runs"], None),
-        (&["plot", "smoke", "--x", "size", "--metrics", "r2"], Some("possible values: experiment")),
+        (&["plot", "smoke", "--x", "seed", "--metrics", "r2"], Some("possible values: experiment")),
         (&["ls", "nothing"], Some("`harness ls`")),
     ] {
         let said = on_terminal(FOLDER.path(), 60, arguments);
