@@ -6,6 +6,7 @@ import itertools
 import json
 import pickle
 import re
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -637,19 +638,16 @@ def test_the_command_exports_a_network_without_further_packages(results: Path, t
     onnx.checker.check_model(onnx.load(file))
 
 
-def code_in_the_documentation(library: str) -> str:
-    text = (ROOT / "docs" / "networks.md").read_text()
-    (code,) = re.findall(rf"```python\n# {library}\n(.*?)```", text, re.DOTALL)
-    return code
+def code_in_the_documentation(library: str) -> dict[str, Any]:
+    """Returns what the file of the documentation for a library defines, by name."""
+    return runpy.run_path(str(ROOT / "docs" / "code" / f"network_{library}.py"))
 
 
 def test_the_numpy_code_in_the_documentation_predicts(folder: Path) -> None:
     trained = Trained("single_to_multi", folder)
     description, tensors = read_file(trained.results / "runs" / "smoke" / trained.run / "prediction.safetensors")
-    names: dict[str, Any] = {"network": description, "tensors": tensors}
-    names |= {"observation": trained.observation, "action": trained.action}
-    exec(code_in_the_documentation("numpy"), names)
-    trained.assert_equal(names["predicted"], trained.predicted)
+    predict = code_in_the_documentation("numpy")["predict"]
+    trained.assert_equal(predict(description, tensors, trained.observation, trained.action), trained.predicted)
 
 
 DISTRIBUTIONS: Overrides = {
@@ -666,10 +664,8 @@ def test_every_program_gives_the_same_distributions(folder: Path, tmp_path: Path
     trained = Trained("distributions", folder, DISTRIBUTIONS)
     description, tensors = read_file(trained.results / "runs" / "smoke" / trained.run / "prediction.safetensors")
     assert description["format"] == 4
-    names: dict[str, Any] = {"network": description, "tensors": tensors}
-    names |= {"observation": trained.observation, "action": trained.action}
-    exec(code_in_the_documentation("numpy"), names)
-    expected = names["predicted"]
+    predict = code_in_the_documentation("numpy")["predict"]
+    expected = predict(description, tensors, trained.observation, trained.action)
     trained.assert_equal({name: expected[name] for name in trained.predicted}, trained.predicted)
     parameters = {"proprioception.scale", *(f"contact_force.{part}" for part in ("scale", "touch", "location"))}
     assert expected.keys() == parameters | trained.predicted.keys()
@@ -693,8 +689,7 @@ def test_every_program_gives_the_same_distributions(folder: Path, tmp_path: Path
 
 def test_the_documented_torch_code_computes_every_layer(folder: Path) -> None:
     torch = pytest.importorskip("torch", reason="`make interchange` tests with torch")
-    names: dict[str, Any] = {}
-    exec(code_in_the_documentation("torch"), names)
+    names = code_in_the_documentation("torch")
     computed = set()
     for kind in ("averaged", "averaged, late, deep", "product"):
         trained = Trained(kind, folder)
