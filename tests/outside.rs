@@ -103,7 +103,7 @@ fn unknown_names_and_files_are_refused_with_what_there_is() {
         unknown.starts_with(
             "error: unknown experiment 'multi_to_mutli'; did you mean 'multi_to_multi'? Allowed: \
                              choose_camera, choose_recommended, "
-        ) && unknown.ends_with(", which_sense_crowded, or the path of a file\n"),
+        ) && unknown.ends_with(", which_touch, or the path of a file\n"),
         "{unknown}"
     );
     let missing =

@@ -43,6 +43,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "smoke",
     "which_sense",
     "which_sense_crowded",
+    "which_touch",
 ];
 
 impl BuiltIn {

@@ -474,7 +474,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         "runs": lambda: harness.figures("regression", folder=results / "none", results=results),
         "plot key": lambda: harness.plot(x="latents", metrics="r2", results=results),
         "plot metric": lambda: harness.plot(x="latent", metrics="R2", results=results),
-        "plot ending": lambda: harness.plot(x="latent", metrics="r2", output="plot.pdf", results=results),
+        "plot ending": lambda: harness.plot(x="latent", metrics="r2", output="plot.eps", results=results),
         "plot series": lambda: harness.plot(
             x="latent", metrics="r2", facet="scenario", output=results / "none.svg", results=results
         ),
@@ -551,7 +551,7 @@ def call_wrongly(name: str, results: Path, folder: Path) -> None:
         ("runs", RuntimeError, "regression was not drawn: "),
         ("plot key", ValueError, "there is no key 'latents'; did you mean 'latent'"),
         ("plot metric", ValueError, "there is no metric 'R2'; did you mean 'r2'"),
-        ("plot ending", ValueError, r"must end in \.svg, \.png or \.csv"),
+        ("plot ending", ValueError, r"must end in \.svg, \.png, \.pdf or \.csv"),
         ("plot series", ValueError, "the means differ in modality"),
         ("plot of nothing", ValueError, "no run has these metrics for this task"),
         ("plotted experiment", KeyError, "'nothing' has no finished runs; those that have: smoke"),
