@@ -57,9 +57,9 @@ pub struct Asked {
     /// The modalities that the models got, joined by +, of models that got only some of their run's inputs
     #[arg(long, value_name = "NAME")]
     given: Option<String>,
-    /// The keys that distinguish the columns of a table or the series of a plot, separated by commas: those below, or
-    /// settings, such as input or network.hidden. All other keys distinguish rows or tables [default of a table: latent,
-    /// or variant if the runs of one experiment have several variants and one latent size]
+    /// The keys that distinguish the columns of a table or the series of a plot, separated by commas: those below,
+    /// settings, such as input or network.hidden, or axes, such as senses. All other keys distinguish rows or tables
+    /// [default of a table: latent, or variant if the runs of one experiment have several variants and one latent size]
     #[arg(long, value_name = "KEY", value_delimiter = ',', value_parser = key())]
     by: Vec<Key>,
     /// Show how much the other columns differ from the column with this heading. Differences are paired: they are those

@@ -343,7 +343,8 @@ def answer(
         horizon: how far ahead the predictions are: numbers of samples, such as 5, or times, such as `"0.5s"`. The
             default is `window.horizon` of each run's spec, or all horizons if `horizon` is one of the keys.
         given: the modality or modalities that the models got, of models that got only some of their run's inputs.
-        by: the key or keys that tell the columns of a table apart. In the answer, settings are columns of their own.
+        by: the key or keys that tell the columns of a table apart. Settings and axes are possible too, and are columns
+            of their own in the answer.
         where: settings that the runs must have, by dotted key: `{"training.batch_size": 64}`.
         against: the heading of a column in the table of `harness compare`. The other rows are paired differences from
             it.
