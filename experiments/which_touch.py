@@ -25,7 +25,7 @@ SETTINGS = {
 LOSSES = """
     select variant, value from epochs
     where experiment = '{}' and task = 'prediction' and split = 'validation' and term = 'contact_force_mean'
-      and epoch = 10
+      and epoch = {}
     order by value
 """
 
@@ -47,7 +47,7 @@ def main():
         candidates = {f"link_{link:02}": only(sorted([*chosen, link])) for link in LINKS if link not in chosen}
         settings = {**SETTINGS, "name": name, "vary": {"links": candidates}}
         harness.run("recommended", settings, results=arguments.results, jobs=arguments.jobs)
-        losses = harness.query(LOSSES.format(name), results=arguments.results)
+        losses = harness.query(LOSSES.format(name, SETTINGS["training.epochs"]), results=arguments.results)
         variant, loss = losses.row(0)
         chosen.append(int(variant.rpartition("_")[2]))
         print(f"{number} sensors: links {sorted(chosen)}, validation loss {loss:.4f}")

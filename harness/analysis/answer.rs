@@ -1,13 +1,14 @@
 //! The answer to a question, and the answer as a table: keys tell its rows and columns apart, and baselines stand beside
 //! networks.
 
+use super::labels::has_own_words;
 use super::{
     AnalysisError, Interval, Key, Label, Labels, Mean, Of, holm, note_about_shared_test, replicates_of,
 };
 use harness_judge::models::NETWORK;
 use harness_metrics::{Metric, best, higher_is_better, label, rounded};
 use harness_shared::numbers::Natural;
-use harness_spec::{Modality, Origin, Task, is_axis, model_parts, variant_parts};
+use harness_spec::{Modality, Origin, Task, model_parts, variant_parts};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -217,7 +218,7 @@ impl Place {
 fn with_key(key: &str, value: &str) -> String {
     match key.split_once('.').map_or(key, |(_section, name)| name) {
         "input" => value.to_owned(),
-        axis if axis != "reading" && is_axis(axis) => value.to_owned(),
+        axis if has_own_words(axis) => value.to_owned(),
         name => format!("{name}={value}"),
     }
 }

@@ -97,7 +97,7 @@ impl Labels {
         let parts = variant.split(',').filter(|part| !self.constant.contains(*part));
         let name = |part: &str| match part.split_once('=') {
             Some((INPUT, input)) => self.input(&modalities(input)),
-            Some((axis, label)) if axis != "reading" && is_axis(axis) => label.to_owned(),
+            Some((axis, label)) if has_own_words(axis) => label.to_owned(),
             _ => part.to_owned(),
         };
         Label { place, name: Natural::new(parts.map(name).collect::<Vec<_>>().join(", ")) }
@@ -162,4 +162,9 @@ fn whole(inputs: &BTreeSet<BTreeSet<String>>) -> Option<BTreeSet<String>> {
     let others = || inputs.iter().filter(|input| *input != largest);
     (largest.len() >= LEAST_LEFT_OUT && others().count() > 1 && others().all(lacks_one))
         .then(|| largest.clone())
+}
+
+/// Whether the labels of the axis with this name say what they are. Those of other keys stand behind the key's name.
+pub(super) fn has_own_words(key: &str) -> bool {
+    key != "reading" && is_axis(key)
 }

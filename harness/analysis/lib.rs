@@ -111,18 +111,18 @@ pub enum AnalysisError {
     },
     /// A key is neither one of those of every run, nor a setting, nor an axis of a run.
     #[error(
-        "there is no key '{wanted}'{}allowed: {}, a setting, such as input or network.hidden, or an axis of these runs: {}",
-        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()),
+        "there is no key '{wanted}'{meant}allowed: {}, a setting, such as input or network.hidden, or an axis of these \
+         runs: {}",
         Key::ALL.map(Key::name).join(", "),
         if axes.is_empty() { "none".to_owned() } else { axes.join(", ") }
     )]
     UnknownKey {
         /// The key.
         wanted: String,
+        /// The key that was probably meant, in words; see [`meant`].
+        meant: String,
         /// The axes that runs have labels of.
         axes: Vec<String>,
-        /// The keys, axes and settings of the runs.
-        known: Vec<String>,
     },
     /// No run has a setting with the requested key.
     #[error(

@@ -8,6 +8,7 @@ use harness_catalog::{OVERALL, QueryError, rows};
 use harness_judge::models::{self, baselines_in_sql};
 use harness_metrics::Metric;
 use harness_registry::Registry;
+use harness_shared::meant;
 use harness_shared::numbers::counted;
 use harness_spec::{Modality, RunSpec, Task, is_axis, model_parts};
 use harness_sql::text_in_sql;
@@ -328,20 +329,14 @@ impl Question {
     /// Returns an error if a key is neither a setting nor the name of an axis of a run.
     fn check_axes(&self, analysis: &Analysis) -> Result<(), AnalysisError> {
         let runs = || analysis.experiments().flat_map(|name| analysis.runs(name));
+        let is_of_no_run = |name: &&str| !runs().flat_map(Run::axes).any(|axis| axis == *name);
+        let asked = self.by.iter().filter_map(|key| key.setting());
+        let Some(wanted) = asked.filter(|name| is_axis(name)).find(is_of_no_run) else { return Ok(()) };
         let axes: BTreeSet<&str> = runs().flat_map(Run::axes).collect();
-        let of_axes = self.by.iter().filter_map(|key| key.setting()).filter(|name| is_axis(name));
-        match of_axes.into_iter().find(|name| !axes.contains(name)) {
-            Some(wanted) => {
-                let settings: BTreeSet<&str> = runs().flat_map(Run::keys).collect();
-                let keys = Key::ALL.into_iter().map(|key| key.name().to_owned());
-                Err(AnalysisError::UnknownKey {
-                    wanted: wanted.to_owned(),
-                    known: keys.chain(settings.into_iter().map(str::to_owned)).collect(),
-                    axes: axes.into_iter().map(str::to_owned).collect(),
-                })
-            }
-            None => Ok(()),
-        }
+        let known: BTreeSet<&str> = runs().flat_map(Run::keys).chain(Key::ALL.map(Key::name)).collect();
+        let meant = meant(wanted, &known.into_iter().collect::<Vec<_>>());
+        let axes = axes.into_iter().map(str::to_owned).collect();
+        Err(AnalysisError::UnknownKey { wanted: wanted.to_owned(), meant, axes })
     }
 
     fn check_given(&self, analysis: &Analysis) -> Result<(), AnalysisError> {

@@ -448,8 +448,8 @@ impl Judgment<'_> {
         }
     }
 
-    /// Half of the interval's width, if the claim is undecided or not testable: a value that is farther from the
-    /// condition's bound would have been decided by as many data. `None` without an interval.
+    /// Half of the interval's width, if the claim is undecided or not testable. An undecided claim whose value is farther
+    /// from the condition's bound would have been decided. `None` without an interval.
     pub fn resolution(&self) -> Option<f64> {
         let is_open = matches!(self.verdict(), Verdict::Undecided | Verdict::NotTestable);
         let (low, high) = self.interval()?.bounds?;

@@ -157,13 +157,11 @@ impl Claims {
         if let Some(columns) = explanation {
             print_text(columns);
         }
-        if columns
-            .iter()
-            .any(|(_, judgments)| judgments.iter().any(|judgment| judgment.resolution().is_some()))
-        {
+        let mut judged = columns.iter().flat_map(|(_, judgments)| judgments);
+        if judged.any(|judgment| judgment.resolution().is_some()) {
             print_text(
-                "(±h): half of the interval's width. An undecided claim whose value is farther than h from the bound of its condition \
-                 would have been decided",
+                "(±h): half of the interval's width. An undecided claim whose value is farther than h from the bound of \
+                 its condition would have been decided",
             );
         }
         print_text("--all prints the statements, values and requirements");

@@ -213,6 +213,14 @@ impl Panel {
         self.bottom_line(page, Some(label));
     }
 
+    /// Draws the bottom axis with a tick at each of these positions, without words.
+    pub fn bottom_ticks(&self, page: &mut Page, centers: &[f64]) {
+        for x in centers {
+            page.line([*x, self.bottom()], [*x, self.bottom() + TICK], AXIS);
+        }
+        self.bottom_line(page, None);
+    }
+
     fn bottom_line(&self, page: &mut Page, label: Option<&str>) {
         page.line([self.left, self.bottom()], [self.right(), self.bottom()], AXIS);
         if let Some(label) = label {

@@ -228,7 +228,7 @@ fn how_often(page: &mut Page, panel: &Panel, scenarios: &[OfScenario], names: &N
             page.rectangle([x - bar / 2.0, y], [bar, panel.bottom() - y], 0.0, color, None);
         }
     }
-    panel.bottom_names(page, &panel.slots(count), &vec![String::new(); count], "");
+    panel.bottom_ticks(page, &panel.slots(count));
     panel.heading(page, "a", "how often a link is touched");
 }
 

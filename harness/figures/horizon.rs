@@ -166,7 +166,7 @@ fn draw_rows(
                     &char::from(b'a' + place as u8).to_string(),
                     &plain(scenario.text()),
                 );
-                panel.bottom_names(&mut page, &centers, &vec![String::new(); names.len()], "");
+                panel.bottom_ticks(&mut page, &centers);
             } else {
                 panel.bottom_names(&mut page, &centers, &names, &format!("horizon ({unit})"));
                 let zero = scale.at(0.0);

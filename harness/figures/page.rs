@@ -388,6 +388,7 @@ impl Page {
     /// Writes a line of text with its base line at the point. In the text, `_{…}` is a subscript, `^{…}` a superscript,
     /// and `*…*` italic.
     pub fn text(&mut self, text: &str, at: Point, how: Type) {
+        // Some ticks have no word, which a screen reader would announce.
         if text.is_empty() {
             return;
         }

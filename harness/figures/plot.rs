@@ -317,8 +317,7 @@ impl Plot {
 
     /// Writes the names along the horizontal axis.
     fn name(&self, page: &mut Page, panel: &Panel, slots: &[f64], names: &[String], way: NamesWay) {
-        let none = vec![String::new(); names.len()];
-        panel.bottom_names(page, slots, &none, "");
+        panel.bottom_ticks(page, slots);
         for (place, (x, name)) in slots.iter().zip(names).enumerate() {
             match way {
                 NamesWay::Rows(rows) => {

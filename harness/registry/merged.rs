@@ -12,6 +12,7 @@ use super::record::{Slice, read_sealed};
 use super::{FileRecord, RECORD, Registry, RegistryError, RunRecord, SPEC, read_columns, removed};
 use harness_shared::files::{FolderLock, WriteError, write_bytes};
 use harness_shared::seal;
+use harness_spec::Layout;
 use harness_tables::schema::Table;
 use harness_tables::{Stamp, TableError, packed_table, sealed_table, stacked};
 use polars::prelude::{DataFrame, PolarsError};
@@ -47,7 +48,7 @@ struct Stored {
     /// The records. `layout` is a place in `layouts`; without this list, it is the layout itself.
     records: Vec<Value>,
     #[serde(default)]
-    layouts: Vec<Value>,
+    layouts: Vec<Layout>,
     tables: BTreeMap<String, MergedTable>,
 }
 
@@ -55,12 +56,14 @@ impl TryFrom<Stored> for Merged {
     type Error = serde_json::Error;
 
     fn try_from(Stored { records, layouts, tables }: Stored) -> Result<Self, serde_json::Error> {
+        let layouts: Vec<Arc<Layout>> = layouts.into_iter().map(Arc::new).collect();
         let record = |mut record: Value| {
             let place = record.get(LAYOUT).and_then(Value::as_u64);
-            if let Some(layout) = place.and_then(|place| layouts.get(place as usize)) {
-                record[LAYOUT] = layout.clone();
-            }
-            serde_json::from_value(record)
+            let Some(layout) = place.and_then(|place| layouts.get(place as usize)) else {
+                return serde_json::from_value(record);
+            };
+            record.as_object_mut().and_then(|record| record.shift_remove(LAYOUT));
+            Ok(RunRecord { layout: layout.clone(), ..serde_json::from_value(record)? })
         };
         Ok(Self { records: records.into_iter().map(record).collect::<Result<_, _>>()?, tables })
     }

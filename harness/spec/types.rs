@@ -661,7 +661,6 @@ impl Experiment {
         let mut subsets: Vec<Vec<Modality>> = self.given.iter().flat_map(of).collect();
         subsets.iter_mut().for_each(|inputs| inputs.sort());
         subsets.sort();
-        subsets.dedup();
         subsets.retain(|inputs| !inputs.is_empty() && inputs.len() < self.input.len());
         let disturbed = self.given.iter().filter(|given| matches!(given, Given::Disturbed(_))).cloned();
         let mut names = BTreeSet::new();
