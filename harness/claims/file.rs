@@ -17,6 +17,9 @@ pub struct ClaimsFile {
     /// A spec with readings. If it has runs, the claims are judged by them, beside the claims' own experiments.
     #[serde(default)]
     pub readings: Option<PathBuf>,
+    /// Queries by name. A claim's query that contains a name can read the query's rows as a table.
+    #[serde(default, rename = "with")]
+    pub definitions: BTreeMap<String, String>,
     /// The claims, in the order of the file.
     pub claims: Vec<Claim>,
 }
@@ -60,7 +63,11 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
         parse::<BTreeMap<String, IgnoredAny>>(&source.text).is_ok_and(|keys| keys.contains_key("claims"));
     let parsed = match has_keys {
         true => parse(&source.text),
-        false => parse(&source.text).map(|claims| ClaimsFile { readings: None, claims }),
+        false => parse(&source.text).map(|claims| ClaimsFile {
+            readings: None,
+            definitions: BTreeMap::new(),
+            claims,
+        }),
     };
     let mut file: ClaimsFile = parsed.map_err(|error| {
         if let Err(broken) = parse::<IgnoredAny>(&source.text) {
@@ -94,6 +101,7 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
         }
     }
     for claim in claims {
+        claim.insert(&file.definitions);
         claim.insert_metric();
         claim.file.clone_from(&source.label);
     }

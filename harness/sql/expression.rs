@@ -595,6 +595,9 @@ impl<'a> Binder<'a> {
             }));
         };
         let inside = Self { clause: "an aggregate", ..self.rows() };
+        if matches!(name, "arg_min" | "arg_max") {
+            return inside.value_at(name, arguments, filter, groups);
+        }
         let (aggregate, argument) = inside.argument(name, arguments, filter)?;
         let (argument_id, id) = (self.planner.fresh(), self.planner.fresh());
         let (expr, kind) = aggregate.of(&argument_id, argument.kind, distinct)?;
@@ -612,6 +615,26 @@ impl<'a> Binder<'a> {
         Ok(functions::sum_within_integers(value, col(&*real)))
     }
 
+    /// The aggregate `arg_min` or `arg_max`, which is computed from two columns.
+    fn value_at(
+        &self,
+        name: &str,
+        arguments: &[&ast::Expr],
+        filter: Option<&ast::Expr>,
+        groups: &RefCell<Groups>,
+    ) -> Answer<Value> {
+        let [value, by] = arguments else {
+            return refuse!("{name} takes two values: the one to return, and the one to compare");
+        };
+        let value = self.filtered(self.bind(value)?.for_computing(), filter)?;
+        let by = self.bind(by)?.for_computing();
+        let [value_id, by_id, id] = [(); 3].map(|()| self.planner.fresh());
+        let mut groups = groups.borrow_mut();
+        groups.arguments.extend([value.expr.alias(&value_id), by.expr.alias(&by_id)]);
+        groups.aggregates.push(functions::value_at(name, &value_id, &by_id).alias(&id));
+        Ok(Value::column(&id, value.kind))
+    }
+
     /// The aggregate that is called, and its argument, which is null in the rows that FILTER excludes.
     pub fn argument(
         &self,
@@ -622,15 +645,15 @@ impl<'a> Binder<'a> {
         let values = arguments.iter().map(|expr| self.bind(expr)).collect::<Answer<Vec<_>>>()?;
         let values = values.into_iter().map(Value::for_computing).collect();
         let (aggregate, argument) = Aggregate::named(name, values)?;
-        match filter {
-            None => Ok((aggregate, argument)),
-            Some(filter) => {
-                let kind = argument.kind;
-                let kept =
-                    when(self.condition(filter)?).then(argument.expr).otherwise(Value::null(kind).expr);
-                Ok((aggregate, Value::new(kept, kind)))
-            }
-        }
+        Ok((aggregate, self.filtered(argument, filter)?))
+    }
+
+    /// The value, which is null in the rows that FILTER excludes.
+    fn filtered(&self, value: Value, filter: Option<&ast::Expr>) -> Answer<Value> {
+        let Some(filter) = filter else { return Ok(value) };
+        let kind = value.kind;
+        let kept = when(self.condition(filter)?).then(value.expr).otherwise(Value::null(kind).expr);
+        Ok(Value::new(kept, kind))
     }
 }
 

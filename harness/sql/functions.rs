@@ -31,7 +31,7 @@ const OTHER: &str = "abs round power pow mod atan2 isnan isinf isfinite greatest
 
 /// The names of the aggregates.
 const AGGREGATES: &str =
-    "count count_if sum avg min max stddev variance median quantile_cont bool_and bool_or";
+    "count count_if sum avg min max arg_min arg_max stddev variance median quantile_cont bool_and bool_or";
 
 /// The functions that need OVER. Aggregates can be called with or without it.
 pub const OVER_ORDER: [&str; 7] =
@@ -642,6 +642,17 @@ pub enum Aggregate {
     Any,
 }
 
+/// The value in the row in which another value, `by`, is smallest, or largest with `arg_max`: the first such row. Rows
+/// in which one of the two is null are left out. Both are names of columns.
+pub fn value_at(name: &str, value: &str, by: &str) -> Expr {
+    let order = SortMultipleOptions::default()
+        .with_order_descending(name == "arg_max")
+        .with_nulls_last(true)
+        .with_maintain_order(true);
+    let counts = col(value).is_not_null().and(col(by).is_not_null());
+    col(value).filter(counts.clone()).sort_by([col(by).filter(counts)], order).first()
+}
+
 impl Aggregate {
     /// Whether an aggregate has this name, in lower case.
     pub fn is_name(name: &str) -> bool {
@@ -651,6 +662,7 @@ impl Aggregate {
     /// The aggregate of this name, and the value that it aggregates.
     pub fn named(name: &str, arguments: Vec<Value>) -> Answer<(Self, Value)> {
         let (mut argument, share) = match (name, arguments.as_slice()) {
+            ("arg_min" | "arg_max", _) => return refuse!("{name} can't have OVER"),
             ("count", []) => {
                 return Ok((Self::Rows, Value::literal(AnyValue::Boolean(true), Type::Flag)));
             }

@@ -289,6 +289,21 @@ select min(metric) as a, max(metric) as b, count(distinct metric) as c, count(di
 -- agree: aggregates of conditions
 select bool_and(value > -1e30) as a, bool_or(value > 100) as b, bool_and(latent > 2) as c, bool_or(index > 100) as d, min(index > 3) as e from metrics
 
+-- agree: the value of the row in which another value is smallest or largest
+select experiment, run, task, arg_min(epoch, value) as a, arg_max(epoch, value) as b from epochs where split = 'validation' and term = 'total' group by experiment, run, task
+
+-- agree: the same, with rows in which one of the two values is null
+select experiment, scenario, arg_min(case when latent > 4 then run end, prediction_seconds) as a, arg_max(run, case when latent < 64 then prediction_seconds end) as b, arg_min(status, prediction_seconds) filter (where latent = 16) as c, arg_max(latent > 4, prediction_seconds) as d from runs group by experiment, scenario
+
+-- agree: the same, without a row
+select arg_min(value, index) as a, arg_max(metric, value) as b from metrics where false
+
+-- refuse: one value of arg_min | arg_min takes two values: the one to return, and the one to compare
+select arg_min(value) from metrics
+
+-- refuse: arg_max over a window | arg_max can't have OVER
+select arg_max(value, index) over () from metrics
+
 -- agree: spread
 select stddev(value) as a, variance(value) as b from metrics where metric = 'smape'
 
@@ -2026,9 +2041,6 @@ select mean(value) from metrics
 
 -- refuse: the deviation of a population | there is no function 'stddev_pop'; write stddev or variance, which are those of
 select stddev_pop(value) from metrics
-
--- refuse: the row of the largest value | there is no function 'arg_max'
-select arg_max(run, value) from metrics
 
 -- refuse: lists of texts | there is no function 'string_agg'
 select string_agg(run, ',') from runs
