@@ -1041,7 +1041,10 @@ fn faults_of_a_file_are_named_with_their_place() {
     assert!(load_text(ONE).is_ok());
     assert_eq!(load_text(&format!("readings: reproduction\nclaims:\n{ONE}")).unwrap().len(), 1);
     let error = load_text(&format!("reading: paper\nclaims:\n{ONE}")).unwrap_err();
-    assert!(error.contains("1:1: unknown field `reading`, expected one of readings, with, claims"), "{error}");
+    assert!(
+        error.contains("1:1: unknown field `reading`, expected one of readings, with, claims"),
+        "{error}"
+    );
     let edited = |old: &str, new: &str| {
         assert!(ONE.contains(old));
         load_text(&ONE.replace(old, new)).unwrap_err()

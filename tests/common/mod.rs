@@ -91,15 +91,12 @@ pub fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// Copies the published runs to a new results folder of this name, but for those of some experiments.
-pub fn published_without(experiments: &[&str], name: &str) -> PathBuf {
+/// A new results folder, named `name`, with these published experiments.
+pub fn published_only(experiments: &[&str], name: &str) -> PathBuf {
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference/runs");
     let results = fresh(name);
-    for entry in std::fs::read_dir(from).unwrap() {
-        let experiment = entry.unwrap();
-        if !experiments.iter().any(|left_out| experiment.file_name() == *left_out) {
-            copy_folder(&experiment.path(), &results.join("runs").join(experiment.file_name()));
-        }
+    for experiment in experiments {
+        copy_folder(&from.join(experiment), &results.join("runs").join(experiment));
     }
     results
 }
