@@ -331,6 +331,31 @@ fn metrics_of_categories_agree_with_scikit_learn() {
 }
 
 #[test]
+fn the_angle_is_that_of_the_directions_there_are() {
+    let elements = ["a_x", "a_y", "a_z", "b_x", "b_y", "b_z"];
+    let definition = Definition { unit_vectors: true, category: false, ..of_objects(&elements) };
+    let mut evaluation = Evaluation::new(&definition, &[]);
+    // A right angle, no direction, half a right angle, and a prediction without a direction.
+    evaluation.add(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &[0.0, 0.0, 2.0, 9.0, 9.0, 9.0]).unwrap();
+    evaluation.end_episode(2);
+    evaluation.add(&[0.0, 1.0, 0.0, 0.0, 0.6, 0.8], &[0.0, 3.0, 3.0, 0.0, 0.0, 0.0]).unwrap();
+    evaluation.end_episode(3);
+    let rows = evaluation.rows();
+    let right = std::f64::consts::FRAC_PI_2;
+    let of = |index| find(&rows, Metric::Angle, None, index).value;
+    assert_close(of(None), 2.5 * right / 3.0);
+    assert_close(of(Some(0)), 1.5 * right / 2.0);
+    assert_close(of(Some(3)), right);
+    assert_eq!((rows.len(), rows[0].unit.as_str()), (3, "rad"));
+    assert!(Metric::Angle.is_judgment() && !Metric::Angle.higher_is_better());
+    let sums = evaluation.sums();
+    let sums: Vec<_> = sums.iter().map(|row| (row.metric, row.episode, row.denominator)).collect();
+    assert_eq!(sums, [(Metric::Angle, 2, 1.0), (Metric::Angle, 3, 2.0)]);
+    let none = evaluate(&definition, &[0.0; 6], &[1.0; 6]).unwrap();
+    assert_eq!(find(&none, Metric::Angle, None, None).value, None);
+}
+
+#[test]
 fn sums_of_episodes_give_the_accuracy_and_the_log_loss_of_the_test() {
     let definition = of_objects(&["ball", "book"]);
     let mut evaluation = Evaluation::new(&definition, &[]);

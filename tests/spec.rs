@@ -2305,6 +2305,14 @@ network: {preset: single_to_multi}
         "outputs.object.predict: 'object' has categories, which have no change; predict their value"
     );
     assert_eq!(check(&both, ""), Ok(()));
+    let modalities = vec![vector("touch"), Definition { unit_vectors: true, ..vector("object") }];
+    let layout = Layout { modalities, regions: Vec::new(), labels: Vec::new() };
+    let spec = load(&format!("{text}outputs: {{object: {{loss: huber}}}}\n"));
+    let error = spec.runs()[0].check(&layout).unwrap_err();
+    assert_eq!(
+        error,
+        "outputs.object.loss: 'object' has unit vectors, whose loss is 1 minus the cosine of the angle; leave it out"
+    );
 }
 
 #[test]

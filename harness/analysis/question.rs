@@ -20,7 +20,7 @@ use std::fmt;
 use std::str::FromStr;
 
 /// The metrics that are answered if none is asked for.
-const USUAL: [Metric; 7] = [
+const USUAL: [Metric; 8] = [
     Metric::Smape,
     Metric::Wmape,
     Metric::R2,
@@ -28,6 +28,7 @@ const USUAL: [Metric; 7] = [
     Metric::Accuracy,
     Metric::BalancedAccuracy,
     Metric::LogLoss,
+    Metric::Angle,
 ];
 /// The metrics that are answered instead if no run has one of those. They are always defined.
 const ALWAYS_DEFINED: [Metric; 2] = [Metric::Rmse, Metric::Mae];

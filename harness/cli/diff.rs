@@ -165,7 +165,7 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         true => "index is null".to_owned(),
         false => format!(
             "{OVERALL} and model not in ({others}) and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', \
-             'balanced_accuracy', 'log_loss')"
+             'balanced_accuracy', 'log_loss', 'angle')"
         ),
     };
     let of = |run: &RunRecord| {

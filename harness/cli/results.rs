@@ -66,7 +66,7 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let chosen = match metrics {
         Metrics::Main => format!(
             "{OVERALL} and metric in ('smape', 'wmape', 'r2', 'relative_error', 'accuracy', 'balanced_accuracy', \
-             'log_loss', 'f1', 'crps', '{COVERAGE}')"
+             'log_loss', 'angle', 'f1', 'crps', '{COVERAGE}')"
         ),
         Metrics::All => "index is null".to_owned(),
     };

@@ -138,8 +138,8 @@ fn rows<'a>(runs: &Runs<'a>, condition: &str) -> Result<(Vec<Row<'a>>, DataFrame
     for ((scenario, modality), by_element) in &groups {
         let mut of_scenario = runs.all.iter().filter(|run| run.record.spec.scenario.name() == *scenario);
         let layout = of_scenario.next().map_or(runs.layout(), |run| &run.record.layout);
-        // Probabilities of categories do not lie on a line.
-        let is_it = |other: &&Definition| other.name.name() == *modality && !other.category;
+        // Probabilities of categories do not lie on a line, and a predicted direction has no length.
+        let is_it = |other: &&Definition| other.name.name() == *modality && !other.has_own_loss();
         let Some(definition) = layout.modalities.iter().find(is_it) else { continue };
         let (elements, r2) = (ends(definition), r2(runs, scenario, modality)?);
         let mut points = BTreeMap::new();

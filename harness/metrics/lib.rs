@@ -10,6 +10,7 @@
 //!
 //! Everything accumulates batch by batch in f64, so a test set of frames need not fit in memory.
 
+pub mod angle;
 pub mod baselines;
 pub mod category;
 pub mod contact;
@@ -23,6 +24,7 @@ pub mod series;
 pub mod skill;
 mod words;
 
+use angle::Angles;
 use category::Categories;
 pub use ensemble::{Ensemble, Members};
 pub use error::MetricsError;
@@ -117,6 +119,8 @@ pub enum Metric {
     LogLoss,
     /// Number of samples of a category that are predicted as a category; see [`category`].
     Confusion,
+    /// Mean angle between predicted and true unit vectors, in rad; see [`angle`].
+    Angle,
     /// Continuous ranked probability score, in the unit of the values; see [`ensemble`].
     Crps,
     /// Share of the references in the central interval with this probability in percent.
@@ -151,6 +155,9 @@ impl Metric {
     pub const CATEGORY: [Metric; 4] =
         [Metric::Accuracy, Metric::BalancedAccuracy, Metric::LogLoss, Metric::Confusion];
 
+    /// The metrics of unit vectors.
+    pub const UNIT_VECTORS: [Metric; 1] = [Metric::Angle];
+
     /// The metrics of a predictive distribution of forces.
     pub const DISTRIBUTION: [Metric; 15] = {
         use Metric::*;
@@ -178,7 +185,7 @@ impl Metric {
     pub fn all() -> impl Iterator<Item = Metric> {
         let of_forces = Self::FORCE.into_iter().chain(Self::DISTRIBUTION);
         let general = Self::GENERAL.into_iter().chain(Self::DERIVED).chain(Self::LATENT);
-        general.chain(of_forces).chain(Self::CATEGORY)
+        general.chain(of_forces).chain(Self::CATEGORY).chain(Self::UNIT_VECTORS)
     }
 
     /// Says in words which metrics there are.
@@ -193,7 +200,7 @@ impl Metric {
 
     /// Returns the metrics that can belong to a region.
     fn of_regions() -> impl Iterator<Item = &'static Metric> {
-        Self::GENERAL.iter().chain(&Self::DISTRIBUTION).chain(&Self::CATEGORY)
+        Self::GENERAL.iter().chain(&Self::DISTRIBUTION).chain(&Self::CATEGORY).chain(&Self::UNIT_VECTORS)
     }
 
     /// Returns the place of a metric by its name: those of all modalities in their order, and after them all others.
@@ -220,10 +227,10 @@ impl Metric {
         })
     }
 
-    /// Returns the metrics of a modality over all its values. Those of categories are not computed from errors.
+    /// Returns the metrics of a modality over all its values. Those of categories and of unit vectors are not computed from errors.
     pub fn of(definition: &Definition) -> Vec<Metric> {
         use Metric::*;
-        if definition.category {
+        if definition.has_own_loss() {
             return Vec::new();
         }
         if definition.is_image() {
@@ -290,6 +297,7 @@ impl Metric {
             Metric::BalancedAccuracy => "balanced_accuracy",
             Metric::LogLoss => "log_loss",
             Metric::Confusion => "confusion",
+            Metric::Angle => "angle",
             Metric::Crps => "crps",
             Metric::Coverage(percent) => intern(&format!("coverage_{percent}")),
             Metric::Width(percent) => intern(&format!("width_{percent}")),
@@ -369,6 +377,8 @@ pub struct Evaluation {
     definition: Definition,
     /// What is known of categories; `None` for other modalities.
     categories: Option<Categories>,
+    /// What unit vectors are judged by.
+    angles: Option<Angles>,
     columns: Vec<Series>,
     regions: Vec<RegionSums>,
     episodes: Vec<Totals>,
@@ -421,6 +431,7 @@ impl Evaluation {
         Self {
             definition: definition.clone(),
             categories: definition.category.then(|| Categories::new(definition)),
+            angles: definition.unit_vectors.then(|| Angles::new(definition)),
             columns: vec![Series::default(); definition.width()],
             regions: of_image
                 .cloned()
@@ -458,6 +469,9 @@ impl Evaluation {
         check_finite("the median", median, width)?;
         if let Some(categories) = &mut self.categories {
             categories.add(reference, mean);
+        }
+        if let Some(angles) = &mut self.angles {
+            angles.add(reference, mean);
         }
         // Each column adds its values in their order, so the result does not depend on the threads.
         self.columns.par_chunks_mut(COLUMNS_AT_ONCE).enumerate().for_each(|(chunk, columns)| {
@@ -507,6 +521,9 @@ impl Evaluation {
     pub fn rows(&self) -> Vec<Row> {
         if let Some(categories) = &self.categories {
             return categories.rows();
+        }
+        if let Some(angles) = &self.angles {
+            return angles.rows();
         }
         let metrics = Metric::of(&self.definition);
         let mean_squares = self.mean_squares();
@@ -591,6 +608,9 @@ impl Evaluation {
         if let Some(categories) = &mut self.categories {
             return categories.end_episode(episode);
         }
+        if let Some(angles) = &mut self.angles {
+            return angles.end_episode(episode);
+        }
         if self.episodes.last().is_some_and(|last| last.episode == episode) {
             self.episodes.pop();
         }
@@ -607,6 +627,9 @@ impl Evaluation {
     pub fn sums(&self) -> Vec<EpisodeSums> {
         if let Some(categories) = &self.categories {
             return categories.sums();
+        }
+        if let Some(angles) = &self.angles {
+            return angles.sums();
         }
         let mean_squares = self.mean_squares();
         let mut found = Vec::new();

@@ -33,7 +33,7 @@ pub use linear::linear;
 pub use posterior::{balanced_divergence, divergences, kl_divergence, sample};
 pub use rssm::rssm;
 pub use scores::{
-    categorical_cross_entropy, cross_entropy, gaussian_crps, interval_score, softplus,
+    categorical_cross_entropy, cosine_losses, cross_entropy, gaussian_crps, interval_score, softplus,
     truncated_laplace_crps, truncated_laplace_mean, truncated_laplace_quantiles,
 };
 pub use stack::Stack;

@@ -1,7 +1,11 @@
 //! Scores of predicted distributions, from candle's operations.
 
 use candle_core::{Result, Tensor};
+use harness_spec::AXES;
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
+
+/// What is added to the length of a predicted vector, as the side of a right triangle.
+const SHORTEST: f64 = 1e-6;
 
 /// Returns ln(1 + e^x), which is positive and about x for large x. No intermediate result overflows.
 ///
@@ -112,6 +116,23 @@ pub fn categorical_cross_entropy(logits: &Tensor, target: &Tensor) -> Result<Ten
     let logits = logits.broadcast_sub(&logits.detach().max_keepdim(1)?)?;
     let of_category = (&logits * target)?.sum(1)?;
     logits.exp()?.sum(1)?.log()? - of_category
+}
+
+/// Returns 1 minus the cosine of the angle between predicted vectors and unit vectors, and whether there is a unit
+/// vector (1, and otherwise 0), `[batch, vectors]` each. Where the target is all 0, there is none, and its loss is 0. Both
+/// arguments are `[batch, 3 * vectors]`.
+///
+/// # Errors
+/// When candle can't compute an operation.
+pub fn cosine_losses(predicted: &Tensor, target: &Tensor) -> Result<[Tensor; 2]> {
+    let (batch, width) = predicted.dims2()?;
+    let vectors = |values: &Tensor| values.reshape((batch, width / AXES, AXES));
+    let (predicted, target) = (vectors(predicted)?, vectors(target)?);
+    let is_there = target.sqr()?.sum(2)?.gt(0.0)?.to_dtype(predicted.dtype())?;
+    // A prediction without a length has no direction, but its loss needs a gradient.
+    let length = (predicted.sqr()?.sum(2)? + SHORTEST.powi(2))?.sqrt()?;
+    let cosine = ((predicted * target)?.sum(2)? / length)?;
+    Ok([(&is_there - (cosine * &is_there)?)?, is_there])
 }
 
 /// Returns the cross-entropy of an event that occurs (1) or not (0), in nats. Its probability is 1 / (1 + e^-x), with

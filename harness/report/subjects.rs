@@ -119,7 +119,7 @@ fn of_input(run: &Run) -> String {
 fn vectors(run: &Run) -> Vec<Modality> {
     let is_vector = |modality: &&Modality| {
         let own = run.record.layout.get(**modality);
-        own.is_some_and(|definition| !definition.is_image() && !definition.category)
+        own.is_some_and(|definition| !definition.is_image() && !definition.has_own_loss())
     };
     run.record.spec.output.iter().filter(is_vector).copied().collect()
 }

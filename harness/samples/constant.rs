@@ -21,8 +21,8 @@ impl Samples {
             let test = self.constant(*output, &after(&partition.test, window.first_horizon()));
             let training = self.constant(*output, &after(&partition.training, window.first_horizon()));
             match (test, training) {
-                // Categories that do not change have metrics.
-                (Some(is), _) if !definition.category => {
+                // Categories and directions that do not change have metrics.
+                (Some(is), _) if !definition.has_own_loss() => {
                     Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))
                 }
                 (_, Some(is)) => Some(format!(

@@ -25,7 +25,7 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
-    /// Returns the normalizer that changes no value. Categories have it, so that their inputs are 0 and 1.
+    /// Returns the normalizer that changes no value. Categories and unit vectors have it, so that 0 is none.
     fn none(width: usize) -> Self {
         Self { mean: vec![0.0; width], std: vec![1.0], minimum: None }
     }
@@ -189,7 +189,7 @@ impl Normalizers {
     pub fn fit(samples: &Samples, transitions: &[Sample], scalings: &Scalings, action: Action) -> Self {
         let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
-            if definition.category {
+            if definition.has_own_loss() {
                 return (modality, Normalizer::none(definition.width()));
             }
             let moments = if definition.is_image() {

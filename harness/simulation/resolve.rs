@@ -536,6 +536,7 @@ impl<'a> Resolver<'a> {
             Source::ContactNormal(names) => {
                 definition.meaning =
                     "Direction of the normal contact force, in the frame of the body, on link".into();
+                definition.unit_vectors = true;
                 self.contact_normals(names, path)?
             }
             Source::Pose { names, of, orientation, relative_to } => {

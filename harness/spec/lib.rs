@@ -41,7 +41,7 @@ pub use error::SpecError;
 pub use explain::{Explained, Sourced, explain};
 pub use factor::{Distribution, Drawing, Factor, Normal, Property};
 pub use layout::{
-    CLASS_COLORS, CONTACT_PARTS, Definition, Element, Episode, GivenScaling, GivenScalings, Group,
+    AXES, CLASS_COLORS, CONTACT_PARTS, Definition, Element, Episode, GivenScaling, GivenScalings, Group,
     IMAGE_CHANNELS, Kind, Label, LabelKind, Layout, Modality, NO_CONTACT, Percentage, Pose, Region, Scale,
     Scaling, Scalings, Segmentation, intern, is_name,
 };

@@ -326,7 +326,7 @@ impl RunSpec {
                 }
             }
         }
-        self.check_categories(layout)?;
+        self.check_own_losses(layout)?;
         let of_tests = self.given.iter().filter_map(|given| match given {
             Given::Disturbed(inputs) => Some(inputs),
             _ => None,
@@ -357,26 +357,37 @@ impl RunSpec {
         }
     }
 
-    /// Refuses settings that categories can't have.
-    fn check_categories(&self, layout: &Layout) -> Result<(), String> {
-        let is_category = |name: &Modality| layout.get(*name).is_some_and(|definition| definition.category);
-        for name in self.modalities().iter().filter(|name| is_category(name)) {
-            if self.scaling.contains_key(name) {
-                return Err(format!(
-                    "'{name}' has categories, which are not scaled; leave out scaling.{name}"
-                ));
+    /// Refuses settings that categories and unit vectors can't have.
+    fn check_own_losses(&self, layout: &Layout) -> Result<(), String> {
+        for name in self.modalities() {
+            let Some(definition) = layout.get(name).filter(|definition| definition.has_own_loss()) else {
+                continue;
+            };
+            let (has, own, judged) = match definition.category {
+                true => ("has categories", "the cross-entropy", "whose probabilities are predicted anyway"),
+                false => (
+                    "has unit vectors",
+                    "1 minus the cosine of the angle",
+                    "of which only the direction is predicted",
+                ),
+            };
+            // A run in a simulated world stores the scaling that its world says, if the spec says none.
+            let of_world = Scaling { scale: definition.scale, minimum: definition.minimum };
+            let is_given = |own: &Scaling| definition.category || *own != of_world;
+            if self.scaling.get(&name).is_some_and(is_given) {
+                return Err(format!("'{name}' {has}, which are not scaled; leave out scaling.{name}"));
             }
             let Some(Trained { training, .. }) = self.trained() else { continue };
-            let (setting, why) = if training.predict.contains_key(name) {
-                ("predict", "which have no change; predict their value")
-            } else if training.losses.contains_key(name) {
-                ("loss", "whose loss is the cross-entropy; leave it out")
-            } else if training.distributions.contains_key(name) {
-                ("distribution", "whose probabilities are predicted anyway; leave it out")
+            let (setting, why) = if training.predict.contains_key(&name) {
+                ("predict", "which have no change; predict their value".to_owned())
+            } else if training.losses.contains_key(&name) {
+                ("loss", format!("whose loss is {own}; leave it out"))
+            } else if training.distributions.contains_key(&name) {
+                ("distribution", format!("{judged}; leave it out"))
             } else {
                 continue;
             };
-            return Err(format!("outputs.{name}.{setting}: '{name}' has categories, {why}"));
+            return Err(format!("outputs.{name}.{setting}: '{name}' {has}, {why}"));
         }
         Ok(())
     }
@@ -393,12 +404,12 @@ impl RunSpec {
     pub fn complete(&self, layout: &Layout) -> Json {
         let mut all = self.all();
         let mut scalings = self.scalings(layout);
-        scalings.retain(|modality, _| !layout[*modality].category);
+        scalings.retain(|modality, _| !layout[*modality].has_own_loss());
         all["scaling"] = json!(scalings);
         if let Some(Trained { training, .. }) = self.trained() {
             let is_vector = |modality: &&Modality| {
                 let own = layout.get(**modality);
-                own.is_some_and(|definition| !definition.is_image() && !definition.category)
+                own.is_some_and(|definition| !definition.is_image() && !definition.has_own_loss())
             };
             let vectors: Vec<Modality> = self.output.iter().filter(is_vector).copied().collect();
             fn of<T: Copy + Default>(

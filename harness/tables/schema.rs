@@ -324,7 +324,7 @@ fn metric_values() -> Vec<Column> {
              its dimensions, from what is expected before the present sample, averaged over the test windows; active: \
              the number of dimensions whose kl is above 0.01 nats; log_r2, trimmed_r2, f1, auc, crps, coverage_90, \
              width_90, pit_0 and so on: see docs/metrics.md; accuracy, balanced_accuracy, log_loss and confusion of \
-             categories; or a user's metric",
+             categories; angle of unit vectors; or a user's metric",
         ),
         real("value", "", "the metric; null if it is not defined"),
         text("unit", "unit of the value"),
@@ -343,7 +343,7 @@ fn sum_values() -> Vec<Column> {
         text(
             "metric",
             "a metric of metrics that is computed from the ratio of two sums: 1 minus it (r2, r2_ground), 100 times it \
-             (smape, wmape), its root (rmse), or itself (mae, relative_error, accuracy, log_loss)",
+             (smape, wmape), its root (rmse), or itself (mae, relative_error, accuracy, log_loss, angle)",
         ),
     ];
     columns.extend(distance());

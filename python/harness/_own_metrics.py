@@ -21,7 +21,7 @@ Metric = Callable[[NDArray[np.float64], NDArray[np.float64]], "float | None"]
 
 BUILT_IN = (
     *("smape", "wmape", "r2", "rmse", "mae", "relative_error", "skill"),
-    *("accuracy", "balanced_accuracy", "log_loss", "confusion"),
+    *("accuracy", "balanced_accuracy", "log_loss", "confusion", "angle"),
 )
 
 Value = tuple[str, int, str | None, float | None]

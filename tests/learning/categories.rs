@@ -1,8 +1,8 @@
-//! Networks that predict categories.
+//! Networks that predict categories or unit vectors.
 
 use super::*;
 use harness_learning::network::description::FORMAT_WITH_CATEGORIES;
-use harness_ops::categorical_cross_entropy;
+use harness_ops::{categorical_cross_entropy, cosine_losses};
 
 /// The modality whose elements are categories in these tests.
 const CATEGORY: Modality = Modality::ARM;
@@ -77,4 +77,47 @@ fn a_decoder_predicts_probabilities_and_is_trained_by_their_cross_entropy() {
     assert_eq!(description.format, FORMAT_WITH_CATEGORIES);
     let outputs: Vec<_> = description.outputs.iter().map(|output| (output.loss, output.softmax)).collect();
     assert_eq!(outputs, [("cross_entropy", true), ("squared", false)]);
+}
+
+#[test]
+fn a_direction_is_trained_by_its_cosine_where_there_is_one() {
+    let target =
+        Tensor::new(&[[1f32, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0, -1.0, 0.0]], &Device::Cpu);
+    let target = target.unwrap();
+    let predicted = variable(&mut random(5), &[2, 6]);
+    assert_gradients(&[predicted], |predicted| cosine_losses(&predicted[0], &target)?[0].sum_all());
+    // A right angle, nothing to predict, the right direction with another length, and the opposite one.
+    let predicted = [[0f32, 3.0, 0.0, 7.0, 7.0, 7.0], [0.0, 1.2, 1.6, 0.0, 5.0, 0.0]];
+    let predicted = Tensor::new(&predicted, &Device::Cpu).unwrap();
+    let [losses, is_there] = cosine_losses(&predicted, &target).unwrap();
+    assert_eq!(is_there.to_vec2::<f32>().unwrap(), [[1.0, 0.0], [1.0, 1.0]]);
+    for (found, expected) in
+        losses.flatten_all().unwrap().to_vec1::<f32>().unwrap().iter().zip([1.0, 0.0, 0.0, 2.0])
+    {
+        assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+    }
+}
+
+#[test]
+fn the_loss_of_unit_vectors_is_a_mean_over_those_there_are() {
+    let bench = Bench::new();
+    let mut layout = Layout::clone(&Layout::finger());
+    layout.modalities.iter_mut().filter(|own| own.name == CATEGORY).for_each(|own| own.unit_vectors = true);
+    let architecture =
+        Architecture { layout: Arc::new(layout), output: vec![CATEGORY], ..bench.architecture() };
+    let (mut parameters, mut random) = (Parameters::new(), random(3));
+    let decoder = architecture.decoder(&mut parameters, &mut random, &Device::Cpu).unwrap();
+    let (latent, action) = (normal(&mut random, &[4, 3]), normal(&mut random, &[4, ARM_JOINTS]));
+    let predicted = decoder.decode(&latent, Some(&action)).unwrap().remove(&CATEGORY).unwrap();
+    let predicted = predicted.to_vec2::<f32>().unwrap();
+    // The second part has no direction at all.
+    let target = [[0f32, 0.0, 1.0], [0.0; 3], [0.0; 3], [0.0; 3]];
+    let value = Value::Vector(Tensor::new(&target, &Device::Cpu).unwrap());
+    let values: Observation = [(CATEGORY, value)].into_iter().collect();
+    let targets =
+        Targets { values: &values, losses: &BTreeMap::new(), parts: 2, score: Score::Loss, added: None };
+    let terms = decoder.losses(&latent, Some(&action), targets).unwrap();
+    let length = predicted[0].iter().map(|value| value * value).sum::<f32>().sqrt();
+    let found = terms[0].value.to_vec1::<f32>().unwrap();
+    assert!((found[0] - (1.0 - predicted[0][2] / length)).abs() < 1e-5 && found[1] == 0.0, "{found:?}");
 }

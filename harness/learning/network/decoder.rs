@@ -7,9 +7,10 @@ use super::{Architecture, Decoded, Decoder, Score, Spreads, Targets, Term};
 use candle_core::{Result, Tensor};
 use candle_nn::ops::softmax;
 use harness_ops::{
-    Quantity, Stack, categorical_cross_entropy, frame_decoder, frame_loss, frames, vector_losses,
+    Quantity, Stack, categorical_cross_entropy, cosine_losses, frame_decoder, frame_loss, frames,
+    vector_losses,
 };
-use harness_spec::{Fusion, IMAGE_CHANNELS, Modality};
+use harness_spec::{Definition, Fusion, IMAGE_CHANNELS, Modality};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Builds the decoder that an architecture describes.
@@ -21,8 +22,11 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
             head.bounds = Some([builder.constant(zero)?, builder.constant(threshold)?]);
         }
     }
-    let is_category = |modality: &&Modality| architecture.layout[**modality].category;
-    let categories = vectors_of.iter().filter(is_category).copied().collect();
+    let with = |is: fn(&Definition) -> bool| {
+        vectors_of.iter().copied().filter(|modality| is(&architecture.layout[*modality])).collect()
+    };
+    let categories = with(|definition| definition.category);
+    let unit_vectors = with(|definition| definition.unit_vectors);
     let size = architecture.size(&images_of);
     let channels = images_of.len() * IMAGE_CHANNELS;
     let hidden =
@@ -54,6 +58,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
         condition: [architecture.latent, architecture.action],
         heads,
         categories,
+        unit_vectors,
         vectors_of: with_widths(architecture, vectors_of),
         images_of,
         shared,
@@ -78,6 +83,8 @@ struct PerceptronDecoder {
     heads: BTreeMap<Modality, Head>,
     /// The vectors whose probabilities are the softmax of their columns.
     categories: BTreeSet<Modality>,
+    /// The vectors of which only directions are learned.
+    unit_vectors: BTreeSet<Modality>,
     /// The predicted images. They are stacked by channel.
     images_of: Vec<Modality>,
     /// Hidden layers that vectors and frames share.
@@ -189,6 +196,12 @@ impl Decoder for PerceptronDecoder {
                         let losses = categorical_cross_entropy(&columns(&predicted)?, &columns(&target)?)?;
                         losses.reshape((targets.parts, ()))?.mean(1)?
                     }
+                    None if self.unit_vectors.contains(&modality) => {
+                        let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
+                        let [sum, count] = cosine_losses(&columns(&predicted)?, &columns(&target)?)?
+                            .map(|of| of.reshape((targets.parts, ()))?.sum(1));
+                        (sum? / count?.maximum(1.0)?)?
+                    }
                     None => losses.get(index)?,
                 };
                 first += width;
@@ -218,6 +231,7 @@ impl Decoder for PerceptronDecoder {
             vectors_of: self.vectors_of.clone(),
             heads: self.heads.clone(),
             categories: self.categories.clone(),
+            unit_vectors: self.unit_vectors.clone(),
             images_of: self.images_of.clone(),
             shared: detached(&self.shared),
             vectors: detached(&self.vectors),

@@ -7,7 +7,7 @@ use super::head::{GREATEST_LOGARITHM, LEAST_SCALE, heads};
 use candle_core::Result;
 use harness_metrics::force::THRESHOLD_N;
 use harness_samples::{Normalizer, Normalizers};
-use harness_spec::{Action, Element, Family, IMAGE_CHANNELS, Kind, Loss, Modality, Task, Window};
+use harness_spec::{Action, Definition, Element, Family, IMAGE_CHANNELS, Kind, Loss, Modality, Task, Window};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -24,6 +24,8 @@ pub const FORMAT_WITH_CATEGORIES: u32 = 5;
 
 /// The loss of categories.
 pub const CROSS_ENTROPY: &str = "cross_entropy";
+/// The loss of unit vectors: 1 minus the cosine of the angle.
+pub const COSINE: &str = "cosine";
 
 /// Value that the encoder is given: all normalized vectors of the input side by side, `[batch, width]`.
 pub const VECTORS: &str = "vectors";
@@ -168,7 +170,7 @@ pub struct Output {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
     /// The loss that the decoder was trained with, in normalized units: `squared`, `absolute` or `huber`, or
-    /// `cross_entropy` of categories. It has no effect with a distribution.
+    /// `cross_entropy` of categories, or `cosine` of unit vectors. It has no effect with a distribution.
     pub loss: &'static str,
     /// Whether the values are the softmax over its columns: the probability of each category.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -422,9 +424,13 @@ impl Description {
                 .get(&name)
                 .and_then(|Normalizer { minimum, .. }| minimum.map(f64::from));
             // A reconstruction is trained with the squared error.
-            let softmax = architecture.layout[name].category;
+            let Definition { category: softmax, unit_vectors, .. } = architecture.layout[name];
             let loss = losses.get(&name).copied().filter(|_| encodes).unwrap_or_default();
-            let loss = if softmax { CROSS_ENTROPY } else { loss.name() };
+            let loss = match (softmax, unit_vectors) {
+                (true, _) => CROSS_ENTROPY,
+                (_, true) => COSINE,
+                _ => loss.name(),
+            };
             let change = (encodes && normalizers.changes.contains_key(&name)).then(|| change_of(name));
             let distribution = heads.get(&name).map(|head| Predicted {
                 family: head.family,

@@ -17,6 +17,9 @@ pub const NO_CONTACT: &str = "none";
 /// contact at the predicted sample, and the phases, by the contact at the present sample and at the predicted one.
 pub const CONTACT_PARTS: [&str; 5] = ["contact", "onset", "sustained", "release", "free"];
 
+/// Number of elements of a vector in space.
+pub const AXES: usize = 3;
+
 /// Number of color channels of an image.
 pub const IMAGE_CHANNELS: usize = 3;
 
@@ -223,6 +226,10 @@ pub struct Definition {
     /// predictions are the probabilities of the categories.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub category: bool,
+    /// Whether each [`AXES`] elements of a vector are a unit vector in space, or all 0 where there is none, such as where
+    /// a link touches nothing. Networks learn only the direction, where there is one, and only its angle is judged.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unit_vectors: bool,
     /// Which standard deviation the values are divided by for a network, if the spec does not say.
     pub scale: Scale,
     /// The least value of a prediction, in physical units, if the spec does not say.
@@ -248,6 +255,7 @@ impl Definition {
             contact_kinds: Vec::new(),
             objects: None,
             category: false,
+            unit_vectors: false,
             scale: Scale::PerElement,
             minimum: None,
             percentage: None,
@@ -257,6 +265,12 @@ impl Definition {
     /// Returns whether the modality is an image rather than a vector.
     pub fn is_image(&self) -> bool {
         matches!(self.kind, Kind::Image { .. })
+    }
+
+    /// Returns whether a network learns it by a loss of its own, from values that are not scaled: categories and unit
+    /// vectors.
+    pub fn has_own_loss(&self) -> bool {
+        self.category || self.unit_vectors
     }
 
     /// Returns whether an image, or the change of one, encodes something else than the colors that a camera sees.
