@@ -433,12 +433,6 @@ impl RunRecord {
         self.spec.simulation.as_ref().map_or(0, |simulation| simulation.episodes)
     }
 
-    /// Whether a finished run lacks a file that its spec asks for. Before records stored whether they are published
-    /// copies, these were recognized by that.
-    fn lacks_files(&self) -> bool {
-        self.status == Status::Done && self.expected_files().iter().any(|name| !self.files.contains_key(name))
-    }
-
     /// The record with a list of these files of the run, as they are now.
     pub(super) fn with_files(self, folder: &RunFolder, names: Vec<String>) -> Result<Self, RegistryError> {
         let mut files = BTreeMap::new();
@@ -548,8 +542,7 @@ impl RunRecord {
 
     /// Reads a record, or returns `None` if the file does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, RegistryError> {
-        let record: Option<Self> = read_sealed(path)?;
-        Ok(record.map(|record| Self { published: record.published || record.lacks_files(), ..record }))
+        read_sealed(path)
     }
 
     /// Writes the record, with a seal.
