@@ -15,8 +15,8 @@ fn the_script_still_produces_what_is_checked_in() {
     assert!(output.status.success(), "run `.venv/bin/python models/compose.py`:\n{said}");
 }
 
-/// Datasets and runs from before layouts have this layout. The two worlds still record all of it, so that old and new
-/// results are tables of the same columns. The kinds of contacts and further modalities came later.
+/// The two worlds record all of this layout, so that all results are tables of these columns. They also record kinds of
+/// contacts and further modalities.
 #[test]
 fn the_papers_worlds_record_what_the_fingers_layout_holds() {
     for scenario in Scenario::PAPER {

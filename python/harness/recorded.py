@@ -21,7 +21,7 @@ Layout = dict[str, Any]
 """The layout of a dataset's samples, from its `dataset.json`: `modalities`, and `regions` of the images."""
 
 FINGER: Layout = json.loads((Path(__file__).parent / "models" / "finger.json").read_text(encoding="utf-8"))
-"""The layout of the worlds `empty` and `cluttered`, also used for datasets that are older than layouts."""
+"""The layout of the worlds `empty` and `cluttered`."""
 
 PAPER = ("empty", "cluttered")
 """The worlds of the paper."""
@@ -157,7 +157,7 @@ class RecordedDataset:
     @property
     def layout(self) -> Layout:
         """The layout of its samples."""
-        layout: Layout = self.description.get("layout", FINGER)
+        layout: Layout = self.description["layout"]
         return layout
 
     @property

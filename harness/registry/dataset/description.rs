@@ -3,7 +3,7 @@
 use super::DatasetError;
 use harness_samples::Labels;
 use harness_shared::seal::hex;
-use harness_spec::{Layout, Modality, Scenario, Simulation, Split};
+use harness_spec::{Layout, Scenario, Simulation, Split};
 use serde::Deserialize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -76,15 +76,11 @@ impl Description {
         (identify(scenario, &self.0) == name).then_some((scenario, simulation))
     }
 
-    /// Returns the layout of the samples. Descriptions from before layouts existed have the layout of the finger.
+    /// Returns the layout of the samples of a simulated dataset.
     pub fn layout(&self) -> Result<Arc<Layout>, String> {
-        match self.0.get("layout") {
-            Some(layout) => {
-                let layout = Layout::deserialize(layout).map_err(|error| format!("its layout: {error}"))?;
-                Ok(Arc::new(layout))
-            }
-            None => Ok(Layout::finger()),
-        }
+        let layout =
+            Layout::deserialize(&self.0["layout"]).map_err(|error| format!("its layout: {error}"))?;
+        Ok(Arc::new(layout))
     }
 
     /// Returns the description of an imported dataset; `None` if this does not describe the dataset `name`. The name
@@ -120,7 +116,7 @@ pub fn layout_of(folder: &Path) -> Result<Arc<Layout>, DatasetError> {
         let description = Description::read(folder)?;
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         match description.imported(&name) {
-            Some(content) => Ok(content.layout()),
+            Some(content) => Ok(Arc::new(content.layout)),
             None => description.layout(),
         }
     };
@@ -136,14 +132,10 @@ pub fn is_imported(folder: &Path) -> bool {
 #[derive(Debug, Clone, Deserialize)]
 pub(super) struct Content {
     pub sample_rate_hz: f64,
-    /// The modalities of the episodes, in addition to the setpoint, which every episode has. Datasets that were
-    /// imported before layouts existed have only these names, and the finger's layout defines the rest.
-    modalities: Vec<Modality>,
-    #[serde(default)]
-    layout: Option<Layout>,
+    /// The layout of the samples.
+    pub layout: Layout,
     episodes: Vec<ImportedEpisode>,
-    /// The split of runs that ask for no other one. Datasets of earlier versions have none.
-    #[serde(default)]
+    /// The split of runs that ask for no other one.
     split: Option<Split>,
 }
 
@@ -155,19 +147,6 @@ struct ImportedEpisode {
 }
 
 impl Content {
-    /// Returns the layout of the samples.
-    pub fn layout(&self) -> Arc<Layout> {
-        if let Some(layout) = &self.layout {
-            return Arc::new(layout.clone());
-        }
-        let mut layout = Layout::clone(&Layout::finger());
-        let held = |modality: Modality| modality == Modality::SETPOINT || self.modalities.contains(&modality);
-        layout.modalities.retain(|definition| held(definition.difference_of.unwrap_or(definition.name)));
-        // The colors of a real camera's images do not identify the robot's parts.
-        layout.regions.clear();
-        Arc::new(layout)
-    }
-
     /// Returns what is known about the episodes.
     pub fn labels(&self) -> Labels {
         let episodes = self.episodes.iter().map(|episode| episode.labels.clone()).collect();

@@ -30,7 +30,7 @@ impl Imported {
         let description = Description::read(&folder).map_err(damaged)?;
         let content =
             description.imported(name).ok_or_else(|| damaged("it does not describe this dataset".into()))?;
-        let (layout, report) = (content.layout(), description.import_report());
+        let (layout, report) = (Arc::new(content.layout.clone()), description.import_report());
         Ok(Self { folder, name: name.to_owned(), layout, content, report })
     }
 

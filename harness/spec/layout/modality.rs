@@ -440,8 +440,8 @@ pub enum LabelKind {
 }
 
 impl Layout {
-    /// Returns the layout of the built-in worlds `empty` and `cluttered`. Datasets and runs from before layouts were
-    /// stored have it as well.
+    /// Returns the layout of the paper's worlds `empty` and `cluttered`, without the kinds of contacts and the modalities
+    /// that they record in addition.
     pub fn finger() -> Arc<Self> {
         static FINGER: LazyLock<Arc<Layout>> = LazyLock::new(|| {
             let text = include_str!("../../../models/finger.json");
