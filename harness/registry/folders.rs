@@ -4,15 +4,11 @@ use super::mark::Mark;
 use super::merged::{Merged, RECORDS, record_in};
 use super::record::RunRecord;
 use super::{RECORD, Registry, RegistryError, RunFolder, Status};
-use crate::dataset::WorldVersion;
 use harness_shared::files::{FolderLock, folders, sorted};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// The versions of the worlds of datasets that were read so far.
-type Versions = Mutex<HashMap<String, Option<WorldVersion>>>;
+use std::sync::{Arc, PoisonError};
 
 /// A run's folder and its record.
 pub type Recorded = (PathBuf, RunRecord);
@@ -117,8 +113,7 @@ impl Registry {
 
     /// The records in these files, sorted by folder. Those that can't be used are left out.
     pub(super) fn read(&self, files: Vec<PathBuf>) -> Vec<Recorded> {
-        let versions = Mutex::default();
-        let read = files.into_par_iter().map(|file| (self.read_versioned(&file, &versions), file));
+        let read = files.into_par_iter().map(|file| (self.read_file(&file), file));
         let read: Vec<_> = read.collect();
         let kept = read.into_iter().flat_map(|(found, file)| {
             found.unwrap_or_else(|error| {
@@ -129,22 +124,15 @@ impl Registry {
         one_each(kept.collect())
     }
 
-    /// The records in a file, with the folders of their runs. The version of a world, which earlier versions of the
-    /// program did not record, is that of the run's dataset.
-    fn read_versioned(&self, file: &Path, known: &Versions) -> Result<Vec<Recorded>, RegistryError> {
+    /// The records in a file, with the folders of their runs.
+    fn read_file(&self, file: &Path) -> Result<Vec<Recorded>, RegistryError> {
         let folder = file.parent().unwrap_or(file);
-        let mut found: Vec<Recorded> = match file.ends_with(RECORDS) {
-            true => self.published(folder)?,
-            false => self.read_run(folder)?.map(|record| (folder.to_owned(), record)).into_iter().collect(),
-        };
-        let records = found.iter_mut().map(|(_, record)| record);
-        for record in records.filter(|run| run.provenance.world.is_none() && run.spec.simulation.is_some()) {
-            let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
-            let version = known.entry(record.dataset.clone());
-            let read = || WorldVersion::in_folder(&self.datasets().join(&record.dataset));
-            record.provenance.world = version.or_insert_with(read).clone();
+        match file.ends_with(RECORDS) {
+            true => self.published(folder),
+            false => {
+                Ok(self.read_run(folder)?.map(|record| (folder.to_owned(), record)).into_iter().collect())
+            }
         }
-        Ok(found)
     }
 
     /// The published runs in the folder of an experiment.

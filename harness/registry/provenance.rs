@@ -53,8 +53,7 @@ pub struct Provenance {
     /// earlier versions. Two world files in different folders may have the same name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world_file: Option<PathBuf>,
-    /// The version of the run's world. `None` for an imported dataset, and in records of earlier versions whose dataset
-    /// is gone.
+    /// The version of the run's world. `None` for an imported dataset.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world: Option<WorldVersion>,
     /// Absolute path of the world file of the run's test, if it is in another world that is not built in.

@@ -8,7 +8,7 @@ use harness_spec::Simulation;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The name of a version of a world that is not known, as in a record of an earlier version whose dataset is gone.
+/// The name of a version of a world that is not known, because the run's record does not say it.
 pub const UNKNOWN: &str = "unknown";
 
 /// Returns the names of the datasets that these settings give in a world as its file or the program has it now. `None`

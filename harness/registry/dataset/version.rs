@@ -44,14 +44,6 @@ impl WorldVersion {
         Self(parts)
     }
 
-    /// Returns the version of the simulated dataset in a folder; `None` if its description can't be read, is of another
-    /// dataset, or is that of an imported one.
-    pub fn in_folder(folder: &Path) -> Option<Self> {
-        let description = Description::read(folder).ok()?;
-        let name = folder.file_name()?.to_str()?;
-        description.simulated(name).map(|_| Self::of(&description.0))
-    }
-
     /// Returns a version of which nothing is known but that it gave the dataset `dataset` for these settings.
     pub fn unknown(settings: &str, dataset: &str) -> Self {
         Self(BTreeMap::from([
