@@ -7,13 +7,14 @@ use harness_analysis::{
     varied_settings,
 };
 use harness_catalog::{QueryError, query_all, query_recorded};
-use harness_claims::{Claim, ClaimsError, ClaimsFile, Judgment, Readings, judge};
+use harness_claims::{Claim, ClaimsFile, Judgment, Readings, judge};
 use harness_registry::{Recorded, Registry};
-use harness_spec::{SpecError, Task};
+use harness_spec::Task;
 use harness_tables::schema::{Column, Table};
-use polars::prelude::{AnyValue, DataFrame, PolarsError};
+use polars::prelude::{AnyValue, DataFrame};
 use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashMap};
+use std::error::Error;
 use std::time::Instant;
 
 /// Most rows of a query's answer that are sent to the page.
@@ -29,20 +30,16 @@ pub enum Answer {
     Unchanged,
 }
 
-/// Why a request has no answer.
-#[derive(Debug, thiserror::Error)]
+/// Why a request has no answer. It is no [`Error`], so that every error can become one.
+#[derive(Debug)]
 pub enum Failure {
     /// The request is not from this server's page or from a program of this machine.
-    #[error("only pages of this server may ask it")]
     Foreign,
     /// The request would change something.
-    #[error("only GET is allowed")]
     Method,
     /// There is nothing of this name.
-    #[error("there is no {0}")]
     Unknown(String),
     /// The request is wrong.
-    #[error("{0}")]
     Bad(String),
 }
 
@@ -56,34 +53,20 @@ impl Failure {
             Self::Bad(_) => "400 Bad Request",
         }
     }
-}
 
-impl From<QueryError> for Failure {
-    fn from(error: QueryError) -> Self {
-        Self::Bad(error.to_string())
+    /// What the body of the response says.
+    pub fn message(self) -> String {
+        match self {
+            Self::Foreign => "only pages of this server may ask it".into(),
+            Self::Method => "only GET is allowed".into(),
+            Self::Unknown(what) => format!("there is no {what}"),
+            Self::Bad(what) => what,
+        }
     }
 }
 
-impl From<PolarsError> for Failure {
-    fn from(error: PolarsError) -> Self {
-        Self::Bad(error.to_string())
-    }
-}
-
-impl From<ClaimsError> for Failure {
-    fn from(error: ClaimsError) -> Self {
-        Self::Bad(error.to_string())
-    }
-}
-
-impl From<SpecError> for Failure {
-    fn from(error: SpecError) -> Self {
-        Self::Bad(error.to_string())
-    }
-}
-
-impl From<AnalysisError> for Failure {
-    fn from(error: AnalysisError) -> Self {
+impl<E: Error> From<E> for Failure {
+    fn from(error: E) -> Self {
         Self::Bad(error.to_string())
     }
 }

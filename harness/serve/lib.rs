@@ -142,7 +142,7 @@ impl Site {
             Ok(Answer::File(kind, text)) => ("200 OK", kind, text.to_owned()),
             Ok(Answer::Json(text)) => ("200 OK", "application/json", text),
             Ok(Answer::Unchanged) => ("304 Not Modified", "application/json", String::new()),
-            Err(failure) => (failure.status(), "text/plain; charset=utf-8", failure.to_string()),
+            Err(failure) => (failure.status(), "text/plain; charset=utf-8", failure.message()),
         };
         Response { status, headers: HEADERS.into_iter().chain([("Content-Type", kind)]).collect(), body }
     }
