@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .arrays import Arrays, takes_of
-from .mapping import Mapping
-from .streams import Take, blaming, natural, sources
+from .arrays import Arrays
+from .streams import blaming, natural
 
 SUFFIXES = (".npz", ".npy")
-
-
-def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
-    """Returns what yields the takes of each NumPy file."""
-    return takes_of(mapping, sources(mapping, SUFFIXES), opened)
 
 
 @contextlib.contextmanager
