@@ -16,7 +16,6 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
 /// A dataset whose setpoints a Python function gives; see `harness.collect`.
@@ -86,10 +85,9 @@ impl PolicyDataset {
 
     /// Locks the folder, for which it may wait, and returns the indices of the missing episodes.
     fn claim(&self, py: Python) -> PyResult<Vec<u32>> {
-        let cancelled = AtomicBool::new(false);
-        let listener = Listener::new(self.progress, &cancelled);
+        let listener = Listener::new(self.progress);
         let wait = || claim(&self.dataset, self.scene, &listener);
-        let claimed = interruptible(py, wait, || cancelled.store(true, Ordering::Relaxed))?;
+        let claimed = interruptible(py, wait, || listener.cancel())?;
         let (lock, missing) = claimed.map_err(Raise::raise)?;
         if !missing.is_empty() {
             let samples = missing.len() * self.dataset.spec().samples_per_episode();

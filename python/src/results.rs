@@ -20,7 +20,6 @@ use pyo3::PyErr;
 use pyo3::exceptions::{PyKeyError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Returns a results folder that exists.
 fn existing(results: PathBuf) -> PyResult<Registry> {
@@ -272,8 +271,7 @@ pub fn report(
     progress: bool,
 ) -> PyResult<()> {
     let (settings, registry) = (settings_of(&settings)?, existing(results)?);
-    let cancelled = AtomicBool::new(false);
-    let listener = Listener::new(progress, &cancelled);
+    let listener = Listener::new(progress);
     let write = || -> PyResult<()> {
         let claims = harness::claims::load(&claims).map_err(Raise::raise)?;
         let asked = harness::report::Asked { experiments, settings, quick };
@@ -285,7 +283,7 @@ pub fn report(
         })?;
         write_bytes(&output, page.as_bytes()).map_err(|error| PyOSError::new_err(error.to_string()))
     };
-    interruptible(py, write, || cancelled.store(true, Ordering::Relaxed))??;
+    interruptible(py, write, || listener.cancel())??;
     warn(py, &registry)
 }
 
@@ -299,8 +297,7 @@ pub fn report_dataset(
     progress: bool,
 ) -> PyResult<()> {
     let registry = existing(results)?;
-    let cancelled = AtomicBool::new(false);
-    let listener = Listener::new(progress, &cancelled);
+    let listener = Listener::new(progress);
     let write = || -> PyResult<()> {
         let dataset = AnyDataset::named(&registry.datasets(), dataset).map_err(Raise::raise)?;
         let samples = dataset.load(FramePlace::Nowhere, &listener).map_err(Raise::raise)?;
@@ -309,7 +306,7 @@ pub fn report_dataset(
         let page = page.map_err(|error| PyRuntimeError::new_err(describe(&error)))?;
         write_bytes(&output, page.as_bytes()).map_err(|error| PyOSError::new_err(error.to_string()))
     };
-    interruptible(py, write, || cancelled.store(true, Ordering::Relaxed))?
+    interruptible(py, write, || listener.cancel())?
 }
 
 /// Returns the items with these names, or all of them without names. Raises ValueError for another name.
@@ -356,8 +353,7 @@ pub fn collect(
 ) -> PyResult<Vec<(PathBuf, usize)>> {
     let experiment = spec::load_task(&path, &overrides, quick).map_err(Raise::raise)?;
     let registry = writable(results)?;
-    let cancelled = AtomicBool::new(false);
-    let listener = Listener::new(progress, &cancelled);
+    let listener = Listener::new(progress);
     let work = || -> PyResult<Vec<(PathBuf, usize)>> {
         let mut collected = Vec::new();
         for (world, simulation) in experiment.simulated() {
@@ -371,5 +367,5 @@ pub fn collect(
         }
         Ok(collected)
     };
-    interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?
+    interruptible(py, work, || listener.cancel())?
 }

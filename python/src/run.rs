@@ -18,6 +18,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::ffi::CString;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Parses settings that runs must have.
@@ -52,11 +53,10 @@ pub fn run(
     let threads = rayon::current_num_threads();
     let command = command(&path, &overrides, quick, &registry);
     let provenance = py.detach(|| provenance(threads, command));
-    let cancelled = AtomicBool::new(false);
-    let listener = Listener::new(progress, &cancelled);
+    let listener = Listener::new(progress);
     let runner = Runner { jobs, memory, ..Runner::new(&registry, threads, &provenance, &listener) };
     let work = || runner.run(&experiment, runner.plan(&experiment)?).map(|(summary, _)| summary);
-    let summary = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
+    let summary = interruptible(py, work, || listener.cancel())?;
     warn(py, &registry)?;
     let summary = summary.map_err(|error: ExperimentError| error.raise())?;
     if !summary.failed.is_empty() {
@@ -87,14 +87,19 @@ pub fn warn(py: Python, registry: &Registry) -> PyResult<()> {
 /// Passes progress on to `shown`, and reports a cancellation by Python.
 pub struct Listener<'a> {
     shown: Box<dyn Progress + 'a>,
-    cancelled: &'a AtomicBool,
+    cancelled: Arc<AtomicBool>,
 }
 
-impl<'a> Listener<'a> {
+impl Listener<'_> {
     /// Returns a listener that draws bars on the terminal if `shown`.
-    pub fn new(shown: bool, cancelled: &'a AtomicBool) -> Self {
+    pub fn new(shown: bool) -> Self {
         let shown: Box<dyn Progress> = if shown { Box::new(Bars::default()) } else { Box::new(Silent) };
-        Self { shown, cancelled }
+        Self { shown, cancelled: Arc::default() }
+    }
+
+    /// Makes the work end that reports to this listener.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
     }
 }
 
@@ -121,7 +126,7 @@ impl Progress for Listener<'_> {
         self.shown.end();
     }
     fn job(&self, name: &str) -> Option<Box<dyn Progress + '_>> {
-        Some(Box::new(Listener { shown: self.shown.job(name)?, cancelled: self.cancelled }))
+        Some(Box::new(Listener { shown: self.shown.job(name)?, cancelled: self.cancelled.clone() }))
     }
     fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)

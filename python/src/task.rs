@@ -16,7 +16,6 @@ use pyo3::prelude::*;
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The compiled part of `harness.PredictionTask`.
 #[pyclass(frozen, subclass, module = "harness._harness")]
@@ -54,8 +53,7 @@ impl Task {
             None => spec::load_task(&path, &overrides, quick),
         };
         let (experiment, registry) = (experiment.map_err(Raise::raise)?, experiment::results(results));
-        let cancelled = AtomicBool::new(false);
-        let listener = Listener::new(progress, &cancelled);
+        let listener = Listener::new(progress);
         let threads = rayon::current_num_threads();
         let provenance = py.detach(|| provenance(threads, String::new()));
         let runner = Runner::new(&registry, threads, &provenance, &listener);
@@ -71,7 +69,7 @@ impl Task {
         }
         let name = task.name();
         let work = || runner.open_task(task);
-        let open = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
+        let open = interruptible(py, work, || listener.cancel())?;
         let open = open.map_err(|error: ExperimentError| error.raise())?;
         Ok(Self { open, registry, name })
     }
@@ -181,8 +179,7 @@ impl Task {
             };
             values.insert((definition.name, horizon), predicted);
         }
-        let cancelled = AtomicBool::new(false);
-        let listener = Listener::new(progress, &cancelled);
+        let listener = Listener::new(progress);
         let threads = rayon::current_num_threads();
         let task = Some(self.open.task().hash());
         let predictions = Predictions::Windows(values);
@@ -192,7 +189,7 @@ impl Task {
             let runner = Runner::new(&self.registry, threads, &provenance, &listener);
             runner.judge(&self.open, external)
         };
-        let judged = interruptible(py, work, || cancelled.store(true, Ordering::Relaxed))?;
+        let judged = interruptible(py, work, || listener.cancel())?;
         warn(py, &self.registry)?;
         let judged = judged.map_err(|error: ExperimentError| error.raise())?;
         Ok((judged.record.name(), judged.was_done))
