@@ -162,6 +162,14 @@ pub fn as_numbers<'py>(name: &str, given: &Bound<'py, PyAny>) -> PyResult<Bound<
     if matches!(kind.as_str(), "f" | "i" | "u") { Ok(array) } else { Err(wrong()) }
 }
 
+/// The shape of a sample's values: `[elements]` or `[rows, columns, 3]`.
+pub fn shape(definition: &Definition) -> Vec<usize> {
+    match definition.size() {
+        Some([rows, columns]) => vec![rows, columns, IMAGE_CHANNELS],
+        None => vec![definition.width()],
+    }
+}
+
 /// Returns the shape of a NumPy array.
 pub fn shape_of(array: &Bound<PyAny>) -> PyResult<Vec<usize>> {
     array.getattr("shape")?.extract()

@@ -1,6 +1,6 @@
 //! The Python classes `PolicyDataset` and `Recorder`: a dataset whose setpoints a Python function gives.
 
-use crate::array::{Item, array, natural, read};
+use crate::array::{Item, array, natural, read, shape};
 use crate::errors::Raise;
 use crate::run::{Listener, writable};
 use crate::work::{detached, interruptible};
@@ -10,7 +10,7 @@ use harness::dataset::Dataset;
 use harness::files::FolderLock;
 use harness::progress::{Progress, Silent};
 use harness::simulation::{Episode, LiveSimulation, Scene, SimulationError};
-use harness::spec::{self, Definition, IMAGE_CHANNELS, Modality, Simulation};
+use harness::spec::{self, Modality, Simulation};
 use pyo3::exceptions::{PyKeyError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -262,14 +262,6 @@ impl Recorder {
         let mut held = self.lock()?;
         let held = &mut *held;
         py.detach(|| work(held)).map_err(Raise::raise)
-    }
-}
-
-/// The shape of a sample's values: `[elements]` or `[rows, columns, 3]`.
-fn shape(definition: &Definition) -> Vec<usize> {
-    match definition.size() {
-        Some([rows, columns]) => vec![rows, columns, IMAGE_CHANNELS],
-        None => vec![definition.width()],
     }
 }
 

@@ -1,6 +1,6 @@
 //! The Python class `SimulationBatch`: one live simulation or many.
 
-use crate::array::{Item, array, natural, read};
+use crate::array::{Item, array, natural, read, shape};
 use crate::errors::Raise;
 use crate::work::belongs_here;
 use harness::simulation::{Batch, LiveSimulation, Pose, Scene, SimulationError};
@@ -263,11 +263,7 @@ impl SimulationBatch {
         let shapes = PyDict::new(py);
         for name in self.sensed() {
             let definition = Modality::new(name).and_then(|modality| self.layout().get(modality));
-            let shape = definition.map(|definition| match definition.size() {
-                Some([rows, columns]) => vec![rows, columns, IMAGE_CHANNELS],
-                None => vec![definition.width()],
-            });
-            shapes.set_item(name, PyTuple::new(py, shape.unwrap_or_default())?)?;
+            shapes.set_item(name, PyTuple::new(py, definition.map(shape).unwrap_or_default())?)?;
         }
         Ok(shapes)
     }

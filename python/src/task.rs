@@ -1,6 +1,6 @@
 //! The Python class `Task`: what an experiment asks of a model of another program, and the judgment of its predictions.
 
-use crate::array::{array, finite, read, read_frames};
+use crate::array::{array, finite, read, read_frames, shape};
 use crate::dataset::modality_array;
 use crate::errors::Raise;
 use crate::run::{Listener, warn};
@@ -10,7 +10,7 @@ use harness::experiment::{
 };
 use harness::registry::{Registry, quoted};
 use harness::samples::Samples;
-use harness::spec::{self, IMAGE_CHANNELS, Modality};
+use harness::spec::{self, Modality};
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use serde_json::json;
@@ -80,12 +80,11 @@ impl Task {
         let (spec, layout) = (task.spec(), task.dataset().layout());
         let modality = |modality: &Modality| {
             let definition = &layout[*modality];
-            let shape = match definition.size() {
-                Some([rows, columns]) => vec![rows, columns, IMAGE_CHANNELS],
-                None => vec![definition.width()],
-            };
             let of = definition.difference_of.filter(|_| definition.is_image()).map(Modality::name);
-            (modality.name(), json!({ "shape": shape, "unit": definition.unit(), "change_of": of }))
+            (
+                modality.name(),
+                json!({ "shape": shape(definition), "unit": definition.unit(), "change_of": of }),
+            )
         };
         let modalities: serde_json::Map<String, serde_json::Value> =
             spec.modalities().iter().map(modality).map(|(name, about)| (name.to_owned(), about)).collect();
