@@ -2,6 +2,7 @@
 
 use crate::array::{array, as_numbers, finite, pixels_last, read, read_frames, shape_of};
 use crate::errors::Raise;
+use crate::run::existing;
 use crate::work::detached;
 use harness::experiment::{self, Values, describe};
 use harness::files;
@@ -48,8 +49,7 @@ impl Model {
     #[new]
     #[pyo3(signature = (run, results=PathBuf::from("results")))]
     fn new(py: Python, run: &str, results: PathBuf) -> PyResult<Self> {
-        let registry = experiment::results(&results);
-        registry.check_there().map_err(Raise::raise)?;
+        let registry = existing(results.clone())?;
         let model = detached(py, || experiment::Model::load(&registry, run))?.map_err(Raise::raise)?;
         Ok(Self { model, results: std::path::absolute(&results).unwrap_or(results) })
     }
@@ -197,8 +197,7 @@ impl Model {
 /// Returns the task and the path of each network of a run; see `harness.load_network`.
 #[pyfunction]
 pub fn networks(py: Python, run: &str, results: PathBuf) -> PyResult<Vec<(&'static str, PathBuf)>> {
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
+    let registry = existing(results)?;
     let found = detached(py, || experiment::network_files(&registry, run))?.map_err(Raise::raise)?;
     Ok(found.into_iter().map(|(task, path)| (task.name(), path)).collect())
 }
@@ -215,8 +214,7 @@ pub fn may_have_network(py: Python, run: &str, results: PathBuf) -> PyResult<boo
 /// network. See `harness.load_network`.
 #[pyfunction]
 pub fn attached(py: Python, run: &str, results: PathBuf) -> PyResult<Option<PathBuf>> {
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
+    let registry = existing(results)?;
     detached(py, || experiment::attached(&registry, run))?.map_err(Raise::raise)
 }
 
@@ -227,8 +225,7 @@ pub fn export_onnx(py: Python, run: &str, output: PathBuf, task: &str, results: 
         let message = format!("task: there is no '{task}'; allowed: prediction, reconstruction");
         return Err(PyValueError::new_err(message));
     };
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
+    let registry = existing(results)?;
     let bytes = detached(py, || experiment::onnx(&registry, run, task))?.map_err(Raise::raise)?;
     let written = files::write_whole(&output, |path| std::fs::write(path, &bytes));
     written.map_err(|error| PyOSError::new_err(describe(&error)))

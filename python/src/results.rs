@@ -1,13 +1,13 @@
 //! The Python functions `answer`, `claims`, `figures`, `plot`, `report`, `verify` and `collect`.
 
 use crate::errors::Raise;
-use crate::run::{Listener, Table, settings_of, warn, writable};
+use crate::run::{Listener, Table, existing, settings_of, warn, writable};
 use crate::work::interruptible;
 use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::dataset::AnyDataset;
-use harness::experiment::{self, dataset_notes, describe};
+use harness::experiment::{dataset_notes, describe};
 use harness::figures::{Figure, Format, OfReading, Plot, Shown};
 use harness::files::write_bytes;
 use harness::progress::Silent;
@@ -20,13 +20,6 @@ use pyo3::PyErr;
 use pyo3::exceptions::{PyKeyError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
-
-/// Returns a results folder that exists.
-fn existing(results: PathBuf) -> PyResult<Registry> {
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
-    Ok(registry)
-}
 
 /// Judges claims; see `harness.claims`.
 #[pyfunction]

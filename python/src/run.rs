@@ -26,6 +26,13 @@ pub fn settings_of(texts: &[String]) -> PyResult<Vec<Setting>> {
     texts.iter().map(|text| text.parse().map_err(PyValueError::new_err)).collect()
 }
 
+/// Opens a results folder that exists.
+pub fn existing(results: PathBuf) -> PyResult<Registry> {
+    let registry = experiment::results(results);
+    registry.check_there().map_err(Raise::raise)?;
+    Ok(registry)
+}
+
 /// Opens a results folder that can be written.
 pub fn writable(results: PathBuf) -> PyResult<Registry> {
     let registry = experiment::results(results);
@@ -136,8 +143,7 @@ impl Progress for Listener<'_> {
 /// Answers a query; see `harness.query`.
 #[pyfunction]
 pub fn query(py: Python, sql: &str, results: PathBuf) -> PyResult<Table> {
-    let registry = experiment::results(results);
-    registry.check_there().map_err(Raise::raise)?;
+    let registry = existing(results)?;
     let answer = interruptible(py, || catalog::query(&registry, sql), || ())?;
     let answer = answer.map_err(Raise::raise)?;
     warn(py, &registry)?;
