@@ -1110,6 +1110,35 @@ fn faults_of_a_file_are_named_with_their_place() {
 }
 
 #[test]
+fn queries_can_read_the_queries_that_the_file_names() {
+    let (folder, _) = results(&[0, 1], |_| Same);
+    let named = "with:
+  all_errors: select scenario, seed, value from best join two using (scenario, seed);
+  best: select scenario, seed, min(value) as value from metrics where metric = 'rmse' group by scenario, seed
+  two: select distinct scenario, seed from runs
+claims:
+";
+    let queries = [
+        "select scenario, seed, value from all_errors",
+        "WITH own as (select * from all_errors)\n    select scenario, seed, value from own",
+        "-- errors\n    with\n    own as (select * from ALL_ERRORS)\n    select scenario, seed, value from own",
+        "select scenario, seed, min(value) as value from metrics where metric = 'rmse' and model <> 'best'\n    group by scenario, seed",
+    ];
+    for query in queries {
+        let claim = ONE.replace(
+            "select scenario, seed, avg(value) as value from metrics group by scenario, seed",
+            query,
+        );
+        let (_file, path) = file(&format!("{named}{claim}"));
+        let path = path.to_str().unwrap();
+        let said = succeed(folder.path(), &["claims", "--file", path, "--format", "csv"]);
+        assert!(said.contains("force,") && !said.contains("no data"), "{query}: {said}");
+    }
+    let error = load_text(&format!("with: {{v-x: select 1}}\nclaims:\n{ONE}")).unwrap_err();
+    assert!(error.contains("'v-x' under `with` is no name of a query"), "{error}");
+}
+
+#[test]
 fn the_message_about_other_files_names_each_claims_keys() {
     let message = load_text("name: smoke").unwrap_err();
     let named = message.rsplit_once("the keys ").unwrap().1.replace(" and ", ", ");

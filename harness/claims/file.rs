@@ -7,7 +7,7 @@ use harness_spec::{BuiltIn, Experiment, SpecError, find};
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// A file of claims.
@@ -17,7 +17,7 @@ pub struct ClaimsFile {
     /// A spec with readings. If it has runs, the claims are judged by them, beside the claims' own experiments.
     #[serde(default)]
     pub readings: Option<PathBuf>,
-    /// Queries by name. A claim's query that contains a name can read the query's rows as a table.
+    /// Queries by name. The queries of claims, and these queries themselves, can read a name as a table.
     #[serde(default, rename = "with")]
     pub definitions: BTreeMap<String, String>,
     /// The claims, in the order of the file.
@@ -82,6 +82,21 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
     if claims.is_empty() {
         return Err(invalid(None, "the file contains no claims".into()));
     }
+    let is_name = |name: &String| {
+        let letters = name
+            .bytes()
+            .all(|letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'_');
+        letters && !name.is_empty() && !name.starts_with(|first: char| first.is_ascii_digit())
+    };
+    if let Some(name) = file.definitions.keys().find(|name| !is_name(name)) {
+        let message = format!(
+            "'{name}' under `with` is no name of a query; use lower-case letters, digits and '_', a letter first"
+        );
+        return Err(invalid(None, message));
+    }
+    for claim in claims.iter_mut() {
+        claim.insert(&file.definitions);
+    }
     for (index, claim) in claims.iter().enumerate() {
         if claims[..index].iter().any(|other| other.id() == claim.id()) {
             return Err(invalid(
@@ -101,11 +116,54 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
         }
     }
     for claim in claims {
-        claim.insert(&file.definitions);
         claim.insert_metric();
         claim.file.clone_from(&source.label);
     }
     Ok(file)
+}
+
+/// Puts those definitions before a query whose names it contains, and those whose names these contain.
+pub(super) fn with_definitions(query: &str, definitions: &BTreeMap<String, String>) -> String {
+    let mut used = Vec::new();
+    add_used(query, definitions, &mut BTreeSet::new(), &mut used);
+    if used.is_empty() {
+        return query.to_owned();
+    }
+    let of = |name: &&str| format!("{name} as (\n{}\n)", definitions[*name].trim().trim_end_matches(';'));
+    let list: Vec<String> = used.iter().map(of).collect();
+    let own = after_with(query).map_or(format!("\n{query}"), |own| format!(", {}", own.trim_start()));
+    format!("with {}{own}", list.join(", "))
+}
+
+/// Adds the names of definitions that a query contains, each after those that its own query contains.
+fn add_used<'a>(
+    query: &str,
+    definitions: &'a BTreeMap<String, String>,
+    seen: &mut BTreeSet<&'a str>,
+    used: &mut Vec<&'a str>,
+) {
+    for (name, sql) in definitions {
+        if words(query).any(|word| word.eq_ignore_ascii_case(name)) && seen.insert(name) {
+            add_used(sql, definitions, seen, used);
+            used.push(name);
+        }
+    }
+}
+
+/// The words of a query that stand outside of texts.
+fn words(query: &str) -> impl Iterator<Item = &str> {
+    let outside = query.split('\'').step_by(2);
+    outside.flat_map(|part| part.split(|letter: char| !letter.is_alphanumeric() && letter != '_'))
+}
+
+/// What stands after WITH at the beginning of a query; `None` if it begins otherwise.
+fn after_with(query: &str) -> Option<&str> {
+    let mut rest = query.trim_start();
+    while rest.starts_with("--") {
+        rest = rest.split_once('\n')?.1.trim_start();
+    }
+    let (first, rest) = rest.split_at_checked("with".len())?;
+    (first.eq_ignore_ascii_case("with") && rest.starts_with(char::is_whitespace)).then_some(rest)
 }
 
 /// The place and the message of a fault, if the queries of a claim do not match its metric.

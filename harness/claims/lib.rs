@@ -164,16 +164,11 @@ impl Claim {
         std::iter::once(&self.query).chain(self.requires.as_ref().map(|requirement| &requirement.query))
     }
 
-    /// Puts those definitions before a query whose names it contains.
+    /// Puts those definitions before the claim's queries whose names they contain.
     fn insert(&mut self, definitions: &BTreeMap<String, String>) {
         let required = self.requires.as_mut().map(|requirement| &mut requirement.query.value);
         for query in std::iter::once(&mut self.query.value).chain(required) {
-            let used = definitions.iter().filter(|(name, _)| words(query).any(|word| word == name.as_str()));
-            let used: Vec<String> = used.map(|(name, sql)| format!("{name} as (\n{sql})")).collect();
-            if !used.is_empty() {
-                let rest = query.strip_prefix("with ").map_or(format!("\n{query}"), |own| format!(", {own}"));
-                *query = format!("with {}{rest}", used.join(", "));
-            }
+            *query = file::with_definitions(query, definitions);
         }
     }
 
@@ -201,11 +196,6 @@ impl Claim {
         }
         sql
     }
-}
-
-/// The words of a query.
-fn words(query: &str) -> impl Iterator<Item = &str> {
-    query.split(|letter: char| !letter.is_alphanumeric() && letter != '_')
 }
 
 /// A condition on a measured value. It is written as `above NUMBER`, `below NUMBER` or `below margin NUMBER`.

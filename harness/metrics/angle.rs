@@ -1,6 +1,6 @@
 //! How far predicted directions in space are from the true ones.
 
-use super::{EpisodeSums, Metric, Row};
+use super::{Direction, EpisodeSums, Metric, Row};
 use harness_spec::{AXES, Definition};
 use std::f64::consts::FRAC_PI_2;
 
@@ -57,19 +57,33 @@ impl Angles {
         self.episodes.iter().map(of).collect()
     }
 
-    /// Returns the mean angle of all unit vectors, and that of each, whose index is that of its first element.
+    /// Returns the mean angle of all unit vectors, that of each group's, and that of each, whose index is that of its
+    /// first element.
     pub fn rows(&self) -> Vec<Row> {
-        let row = |index: Option<usize>, [sum, count]: [f64; 2]| Row {
+        let row = |direction: Option<Direction>, index: Option<usize>, [sum, count]: [f64; 2]| Row {
             modality: self.definition.name,
-            direction: None,
+            direction,
             index: index.map(|index| index as u32),
             metric: Metric::Angle,
             value: (count > 0.0).then(|| sum / count),
             unit: "rad".to_owned(),
         };
-        let whole = row(None, total(self.sums.iter().copied()));
-        let each = self.sums.iter().enumerate().map(|(place, sums)| row(Some(AXES * place), *sums));
-        std::iter::once(whole).chain(each).collect()
+        let of = |elements: &[usize]| {
+            total(
+                elements
+                    .iter()
+                    .filter(|element| *element % AXES == 0)
+                    .map(|element| self.sums[element / AXES]),
+            )
+        };
+        let all: Vec<usize> = (0..self.definition.width()).collect();
+        let groups = self.definition.groups.iter();
+        let groups = groups.map(|group| row(Some(Direction::new(&group.name)), None, of(&group.elements)));
+        let each = all.iter().step_by(AXES).map(|first| {
+            let direction = self.definition.group_of(*first).map(|group| Direction::new(&group.name));
+            row(direction, Some(*first), of(&[*first]))
+        });
+        std::iter::once(row(None, None, of(&all))).chain(groups).chain(each).collect()
     }
 }
 

@@ -118,21 +118,22 @@ pub fn categorical_cross_entropy(logits: &Tensor, target: &Tensor) -> Result<Ten
     logits.exp()?.sum(1)?.log()? - of_category
 }
 
-/// Returns 1 minus the cosine of the angle between predicted vectors and unit vectors, and whether there is a unit
-/// vector (1, and otherwise 0), `[batch, vectors]` each. Where the target is all 0, there is none, and its loss is 0. Both
-/// arguments are `[batch, 3 * vectors]`.
+/// Returns 1 minus the cosine of the angle between predicted vectors and those of the target, times the square of the
+/// target's length, `[batch, vectors]`. Where the target is 0, there is no direction, and its loss is 0. If the mean square
+/// of all targets' lengths is 1, the mean loss is a mean over those that have a direction. Both arguments are `[batch,
+/// 3 * vectors]`.
 ///
 /// # Errors
 /// When candle can't compute an operation.
-pub fn cosine_losses(predicted: &Tensor, target: &Tensor) -> Result<[Tensor; 2]> {
+pub fn cosine_losses(predicted: &Tensor, target: &Tensor) -> Result<Tensor> {
     let (batch, width) = predicted.dims2()?;
     let vectors = |values: &Tensor| values.reshape((batch, width / AXES, AXES));
     let (predicted, target) = (vectors(predicted)?, vectors(target)?);
-    let is_there = target.sqr()?.sum(2)?.gt(0.0)?.to_dtype(predicted.dtype())?;
+    let square = target.sqr()?.sum(2)?;
     // A prediction without a length has no direction, but its loss needs a gradient.
     let length = (predicted.sqr()?.sum(2)? + SHORTEST.powi(2))?.sqrt()?;
-    let cosine = ((predicted * target)?.sum(2)? / length)?;
-    Ok([(&is_there - (cosine * &is_there)?)?, is_there])
+    let along = ((predicted * target)?.sum(2)? / length)?;
+    &square - (along * square.sqrt()?)?
 }
 
 /// Returns the cross-entropy of an event that occurs (1) or not (0), in nats. Its probability is 1 / (1 + e^-x), with

@@ -6,6 +6,9 @@ use harness_spec::{Modality, Window};
 /// Number of samples whose values are compared at once.
 const AT_ONCE: usize = 256;
 
+/// What is said of a modality that is always 0.
+const ZERO: &str = "is 0";
+
 impl Samples {
     /// Returns a sentence for each of these outputs that is the same in all training or all test samples, such as
     /// `contact_force is 0 in all test samples, so its r2 is not defined`. Images that were not loaded are left out.
@@ -17,12 +20,16 @@ impl Samples {
     ) -> Vec<String> {
         let sentence = |output: &Modality| {
             let definition = &self.layout[*output];
-            let metric = if definition.is_image() { "relative_error" } else { "r2" };
+            let metric = match definition.is_image() {
+                true => "relative_error",
+                false if definition.unit_vectors => "angle",
+                false => "r2",
+            };
             let test = self.constant(*output, &after(&partition.test, window.first_horizon()));
             let training = self.constant(*output, &after(&partition.training, window.first_horizon()));
             match (test, training) {
-                // Categories and directions that do not change have metrics.
-                (Some(is), _) if !definition.has_own_loss() => {
+                // Categories that do not change have metrics, and so have directions.
+                (Some(is), _) if !definition.has_own_loss() || definition.unit_vectors && is == ZERO => {
                     Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))
                 }
                 (_, Some(is)) => Some(format!(
@@ -42,6 +49,6 @@ impl Samples {
             physical(self, modality, at).chunks_exact(first.len()).all(|values| values == first)
         };
         let is_zero = first.iter().all(|value| *value == 0.0);
-        at.chunks(AT_ONCE).all(is_same).then_some(if is_zero { "is 0" } else { "does not change" })
+        at.chunks(AT_ONCE).all(is_same).then_some(if is_zero { ZERO } else { "does not change" })
     }
 }

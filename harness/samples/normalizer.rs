@@ -1,7 +1,7 @@
 //! Normalization with the training set's statistics.
 
 use super::{Sample, Samples};
-use harness_spec::{Action, Modality, Scale, Scalings};
+use harness_spec::{AXES, Action, Modality, Scale, Scalings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -25,7 +25,7 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
-    /// Returns the normalizer that changes no value. Categories and unit vectors have it, so that 0 is none.
+    /// Returns the normalizer that changes no value. Categories have it, so that their inputs are 0 and 1.
     fn none(width: usize) -> Self {
         Self { mean: vec![0.0; width], std: vec![1.0], minimum: None }
     }
@@ -162,6 +162,13 @@ impl Moments {
         Normalizer { mean: self.means(), std: roots(self.variances(), std), minimum: None }
     }
 
+    /// Returns the normalizer of `width` elements of unit vectors: their root mean square length becomes 1, and what has
+    /// no direction stays 0.
+    fn scale_of_lengths(&self, width: usize) -> Normalizer {
+        let square = self.square.iter().sum::<f64>() / self.count.max(1.0);
+        Normalizer { mean: vec![0.0; width], std: vec![root(square)], minimum: None }
+    }
+
     /// Returns the normalizer with a mean of 0.
     fn scale_around_zero(&self, std: Scale) -> Normalizer {
         let squares = self.square.iter().map(|square| square / self.count);
@@ -189,8 +196,12 @@ impl Normalizers {
     pub fn fit(samples: &Samples, transitions: &[Sample], scalings: &Scalings, action: Action) -> Self {
         let fitted = scalings.iter().map(|(&modality, scaling)| {
             let definition = &samples.layout()[modality];
-            if definition.has_own_loss() {
+            if definition.category {
                 return (modality, Normalizer::none(definition.width()));
+            }
+            if definition.unit_vectors {
+                let moments = Moments::of(AXES, transitions, |sample| samples.vector(modality, sample));
+                return (modality, moments.scale_of_lengths(definition.width()));
             }
             let moments = if definition.is_image() {
                 frame_moments(samples, transitions, modality)

@@ -310,6 +310,8 @@ impl Scene {
         for definition in &mut layout.modalities {
             let scaling = self.world.scaling(definition.name, &spec.factors);
             definition.minimum = scaling.map_or(definition.minimum, |scaling| scaling.minimum);
+            // With noise, there is no telling where there is a direction.
+            definition.unit_vectors &= !self.world.is_noisy(definition.name, &spec.factors);
         }
         Arc::new(layout)
     }

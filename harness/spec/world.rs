@@ -928,7 +928,7 @@ impl World {
     }
 
     /// Whether one of these factors adds noise to a modality.
-    fn is_noisy(&self, modality: Modality, factors: &[String]) -> bool {
+    pub fn is_noisy(&self, modality: Modality, factors: &[String]) -> bool {
         self.file.factors.iter().any(|(name, factor)| {
             let is_of = |pattern| matching(std::slice::from_ref(pattern), &[modality.name()]).is_ok();
             factors.iter().any(|on| on == name) && factor.sensor_noise.iter().flatten().any(is_of)
@@ -1138,6 +1138,17 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
         return misplaced("unit", "a sensor");
     }
     one_line(sensing.unit.as_deref().unwrap_or_default()).map_err(|message| ("unit", message.into()))?;
+    let is_given = [
+        ("scale", sensing.scale.is_some()),
+        ("minimum", sensing.minimum.is_some()),
+        ("percentage", sensing.percentage.is_some()),
+    ];
+    if let Some((key, _)) = is_given.into_iter().find(|(_, is)| *is && sensing.contact_normal.is_some()) {
+        return Err((
+            key,
+            "only the direction of a contact_normal is learned and judged; leave this out".into(),
+        ));
+    }
     let is_pose = matches!(sensing.source(), Source::Pose { .. });
     for (key, is_given) in [("relative_to", sensing.relative_to.is_some()), ("set", sensing.set)] {
         if is_given && !is_pose {

@@ -38,7 +38,7 @@ pub const OVER_ORDER: [&str; 7] =
     ["row_number", "rank", "dense_rank", "lag", "lead", "first_value", "last_value"];
 
 /// Functions of other databases, and what to write instead.
-const ELSEWHERE: [(&str, &str); 12] = [
+const ELSEWHERE: [(&str, &str); 14] = [
     ("log", "log10, or ln for the natural logarithm"),
     ("cbrt", "power(x, 1.0 / 3)"),
     ("tan asin acos atan", "sin, cos and atan2"),
@@ -50,6 +50,8 @@ const ELSEWHERE: [(&str, &str); 12] = [
     ("substring", "substr(text, first, count)"),
     ("trim ltrim rtrim", "replace(text, ' ', '')"),
     ("mean", "avg"),
+    ("min_by argmin", "arg_min"),
+    ("max_by argmax", "arg_max"),
     ("stddev_samp stddev_pop var_samp var_pop", "stddev or variance, which are those of a sample"),
 ];
 

@@ -198,9 +198,8 @@ impl Decoder for PerceptronDecoder {
                     }
                     None if self.unit_vectors.contains(&modality) => {
                         let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
-                        let [sum, count] = cosine_losses(&columns(&predicted)?, &columns(&target)?)?
-                            .map(|of| of.reshape((targets.parts, ()))?.sum(1));
-                        (sum? / count?.maximum(1.0)?)?
+                        let losses = cosine_losses(&columns(&predicted)?, &columns(&target)?)?;
+                        losses.reshape((targets.parts, ()))?.mean(1)?
                     }
                     None => losses.get(index)?,
                 };
