@@ -660,7 +660,7 @@ fn the_figure_shows_error_and_skill_over_seconds() {
     let one = refused(&reference, &["--experiment", "which_sense"]);
     assert!(one.contains("the runs of which_sense predict only the next sample"), "{one}");
     let none = refused(&RESULTS, &[]);
-    assert!(none.contains("has no finished runs of history; make them with `"), "{none}");
+    assert!(none.contains("has no finished runs of hidden_stiffness; make them with `"), "{none}");
 }
 
 #[test]

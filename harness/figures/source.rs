@@ -64,7 +64,7 @@ impl Experiments {
         Self {
             single_to_multi: name(Study::SingleToMulti.name()),
             multi_to_multi: name(Study::MultiToMulti.name()),
-            horizons: name("history"),
+            horizons: name("hidden_stiffness"),
         }
     }
 

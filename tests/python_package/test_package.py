@@ -299,7 +299,7 @@ def test_claims_figures_and_verify_are_those_of_the_commands(tmp_path: Path) -> 
     (name,) = of_reading["claim"][:1]
     one = harness.claims(name, file=ROOT / "experiments/claims.yaml", reading="base", results=reference)
     assert one["claim"].unique().to_list() == [name]
-    of = {"experiment": "history", "of": "contact_force", "folder": tmp_path, "formats": "csv"}
+    of = {"experiment": "hidden_stiffness", "of": "contact_force", "folder": tmp_path, "formats": "csv"}
     (horizon,) = harness.figures("horizon", results=reference, **of)
     assert horizon.read_text().count("contact_force") > 50
     drawn = harness.figures("forces_dataset", folder=tmp_path, formats=["svg", "csv"], results=reference)
