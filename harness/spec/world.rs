@@ -1140,7 +1140,7 @@ fn modality<'a>(file: &WorldFile, name: &str, sensing: &Sensing) -> Result<(), (
     one_line(sensing.unit.as_deref().unwrap_or_default()).map_err(|message| ("unit", message.into()))?;
     let is_given = [
         ("scale", sensing.scale.is_some()),
-        ("minimum", sensing.minimum.is_some()),
+        ("minimum", sensing.minimum.flatten().is_some()),
         ("percentage", sensing.percentage.is_some()),
     ];
     if let Some((key, _)) = is_given.into_iter().find(|(_, is)| *is && sensing.contact_normal.is_some()) {
