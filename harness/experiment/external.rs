@@ -31,71 +31,9 @@ const MAX_NOTE: usize = 10_000;
 /// Why predictions can't become a run.
 #[derive(Debug, thiserror::Error)]
 pub enum SubmissionError {
-    /// The name of the model can't be part of a folder's name.
-    #[error(
-        "'{0}' can't name a model; use 1 to 64 ASCII letters, digits, '_', '-' and '.', a letter or digit first"
-    )]
-    Name(String),
-    /// A model or a baseline of the harness has the name.
-    #[error("'{0}' is a model of the harness; give yours another name")]
-    Taken(String),
-    /// The seed is too large.
-    #[error("the seed {0} is too large; use 0 to {MAX_SEED}")]
-    Seed(u64),
-    /// A note has no name, there are too many, or one is too long.
-    #[error("notes: {0}")]
-    Note(String),
-    /// The file of the model can't be attached.
-    #[error("{}: {problem}", path.display())]
-    Network {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// The predictions were judged before, without the file of the model.
-    #[error("{run} was written without a file of its model; to attach one, first `{remedy}`")]
-    NotAttached {
-        /// The run.
-        run: String,
-        /// The command that removes it.
-        remedy: String,
-    },
-    /// The predictions are incomplete or wrong.
-    #[error("{0} ({dataset})", dataset = .1)]
-    Recorded(RecordedError, String),
-    /// The model got something that is no input of the task.
-    #[error("'given' has {modality}, which is no input of the task; its inputs are {input}")]
-    Given {
-        /// The modality.
-        modality: Modality,
-        /// The inputs of the task, separated by commas.
-        input: String,
-    },
-    /// Every prediction is of a model that got only some inputs.
-    #[error("all predictions are of a model that got only some inputs ('given'); add those with all inputs")]
-    OnlyGiven,
-    /// The predictions were made for another task.
-    #[error(
-        "the predictions are for the task {wanted}, and this one is {found}: its dataset, split, inputs, outputs or \
-         window is another; predict the test windows of this task"
-    )]
-    Task {
-        /// The hash of the task that the predictions are for.
-        wanted: String,
-        /// The hash of this task.
-        found: String,
-    },
-    /// Other predictions of the model with this seed were judged before.
-    #[error(
-        "{run} has other predictions of this model with this seed; use another name or seed, or first `{remedy}`"
-    )]
-    Judged {
-        /// The run.
-        run: String,
-        /// The command that removes it.
-        remedy: String,
-    },
+    /// The predictions, their model, or what is said about it, are wrong. The text is the message.
+    #[error("{0}")]
+    Refused(String),
     /// Another process writes the run.
     #[error("{holder} is writing {run}; try again when it has ended")]
     Held {
@@ -104,6 +42,11 @@ pub enum SubmissionError {
         /// The other process.
         holder: String,
     },
+}
+
+/// Refuses predictions with a message.
+fn refused(message: impl Into<String>) -> SubmissionError {
+    SubmissionError::Refused(message.into())
 }
 
 /// What a cell of an experiment asks of a model: to predict the outputs at the horizons of a window from its inputs, on
@@ -236,7 +179,7 @@ impl OpenTask {
         let (samples, windows, spec) = (&**self.samples(), &self.open.partition.test, &self.task.spec);
         let horizons = spec.window.horizons();
         let asked = Asked { outputs: &spec.output, horizons: &horizons };
-        let wrong = |error| SubmissionError::Recorded(error, self.task.source.dataset.name().to_owned());
+        let wrong = |error: RecordedError| refused(format!("{error} ({})", self.task.source.dataset.name()));
         let of_windows = |values| Recorded::of_windows(model, samples, windows, asked, values).map_err(wrong);
         let recorded = match predictions {
             Predictions::Windows(values) => vec![of_windows(values)?],
@@ -248,7 +191,9 @@ impl OpenTask {
             }
             Predictions::Rows(rows) => {
                 if !rows.is_empty() && !rows.contains_key(&None) {
-                    return Err(SubmissionError::OnlyGiven.into());
+                    let message = "all predictions are of a model that got only some inputs ('given'); add those with \
+                                   all inputs";
+                    return Err(refused(message).into());
                 }
                 rows.keys().flatten().try_for_each(|given| self.check_given(given))?;
                 let of = |(given, rows): (Option<Vec<Modality>>, Vec<PredictedRow>)| {
@@ -269,7 +214,10 @@ impl OpenTask {
         let input = &self.task.spec.input;
         let Some(&modality) = given.iter().find(|modality| !input.contains(modality)) else { return Ok(()) };
         let names: Vec<&str> = input.iter().map(|modality| modality.name()).collect();
-        Err(SubmissionError::Given { modality, input: names.join(", ") })
+        Err(refused(format!(
+            "'given' has {modality}, which is no input of the task; its inputs are {}",
+            names.join(", ")
+        )))
     }
 }
 
@@ -332,33 +280,38 @@ impl External {
         let is_allowed = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
         let begins = model.starts_with(|c: char| c.is_ascii_alphanumeric());
         if model.len() > 64 || !begins || !model.chars().all(is_allowed) {
-            return Err(SubmissionError::Name(model.escape_debug().take(80).collect()));
+            let name: String = model.escape_debug().take(80).collect();
+            return Err(refused(format!(
+                "'{name}' can't name a model; use 1 to 64 ASCII letters, digits, '_', '-' and '.', a letter or digit \
+                 first"
+            )));
         }
         if models::ALL.contains(&model.as_str()) {
-            return Err(SubmissionError::Taken(model.clone()));
+            return Err(refused(format!("'{model}' is a model of the harness; give yours another name")));
         }
         if *seed > MAX_SEED {
-            return Err(SubmissionError::Seed(*seed));
+            return Err(refused(format!("the seed {seed} is too large; use 0 to {MAX_SEED}")));
         }
         if notes.len() > MAX_NOTES {
-            return Err(SubmissionError::Note(format!(
-                "there are {}, at most {MAX_NOTES} are allowed",
-                notes.len()
-            )));
+            let count = notes.len();
+            return Err(refused(format!("notes: there are {count}, at most {MAX_NOTES} are allowed")));
         }
         for (name, note) in notes {
             if name.trim().is_empty() {
-                return Err(SubmissionError::Note("one has no name; write NAME=TEXT".to_owned()));
+                return Err(refused("notes: one has no name; write NAME=TEXT"));
             }
             if name.len() + note.len() > MAX_NOTE {
                 let name: String = name.escape_debug().take(80).collect();
-                return Err(SubmissionError::Note(format!("'{name}' has more than {MAX_NOTE} bytes")));
+                return Err(refused(format!("notes: '{name}' has more than {MAX_NOTE} bytes")));
             }
         }
         self.attached_name()?;
         let found = task.hash();
         match wanted {
-            Some(wanted) if *wanted != found => Err(SubmissionError::Task { wanted: wanted.clone(), found }),
+            Some(wanted) if *wanted != found => Err(refused(format!(
+                "the predictions are for the task {wanted}, and this one is {found}: its dataset, split, inputs, \
+                 outputs or window is another; predict the test windows of this task"
+            ))),
             _ => Ok(()),
         }
     }
@@ -366,7 +319,7 @@ impl External {
     /// The name that the file of the model gets in the run's folder: `network` and its ending.
     fn attached_name(&self) -> Result<Option<String>, SubmissionError> {
         let Some(path) = &self.network else { return Ok(None) };
-        let refused = |problem: String| SubmissionError::Network { path: path.clone(), problem };
+        let refused = |problem: String| refused(format!("{}: {problem}", path.display()));
         let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
         if !NETWORKS.contains(&ending) {
             let endings = NETWORKS.map(|ending| format!(".{ending}")).join(", ");
@@ -537,11 +490,20 @@ fn judged_before(
     match &record.submission {
         Some(before) if before.predictions_sha256 == submission.predictions_sha256 => {
             if submission.network.is_some() && submission.network != before.network {
-                return Err(SubmissionError::NotAttached { run, remedy }.into());
+                let message = format!(
+                    "{run} was written without a file of its model; to attach one, first `{remedy}`"
+                );
+                return Err(refused(message).into());
             }
             Ok(Some(record))
         }
-        _ => Err(SubmissionError::Judged { run, remedy }.into()),
+        _ => {
+            let message = format!(
+                "{run} has other predictions of this model with this seed; use another name or seed, or first \
+                 `{remedy}`"
+            );
+            Err(refused(message).into())
+        }
     }
 }
 
