@@ -13,77 +13,10 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Why the simulator can't predict the samples of a task.
+/// Why the simulator can't predict the samples of a task: the message.
 #[derive(Debug, thiserror::Error)]
-pub enum SimulatorError {
-    /// The samples were recorded.
-    #[error(
-        "{0} was imported, so the state at its samples is not known; name a world that repeats its setpoints, with \
-         --world WORLD"
-    )]
-    Imported(String),
-    /// The recording lacks a setpoint that moves the world.
-    #[error(
-        "the action of the world {world} has the element {element}, and the setpoints of {dataset} are {there}; name \
-         them alike, with the same units"
-    )]
-    Element {
-        /// The world.
-        world: String,
-        /// The element and its unit.
-        element: String,
-        /// Name of the dataset.
-        dataset: String,
-        /// The elements of its setpoint, each with its unit.
-        there: String,
-    },
-    /// The recording lacks a modality.
-    #[error("{dataset} has no vector '{modality}'; it has {there}")]
-    NotRecorded {
-        /// The modality.
-        modality: String,
-        /// Name of the dataset.
-        dataset: String,
-        /// The vectors that it has.
-        there: String,
-    },
-    /// The world does not sense an output as the recording does.
-    #[error("the output {modality} is not in the world {world} as in {dataset}: {problem}")]
-    Unlike {
-        /// The output.
-        modality: Modality,
-        /// The world.
-        world: String,
-        /// Name of the dataset.
-        dataset: String,
-        /// What differs.
-        problem: String,
-    },
-    /// An output is not sensed in the simulation, but rendered or computed from samples.
-    #[error(
-        "the simulator predicts what it senses, and {modality} is an image or a change; ask for other outputs, for \
-         example output=[contact_force]"
-    )]
-    Output {
-        /// The output.
-        modality: Modality,
-    },
-    /// The task asks for the present sample.
-    #[error(
-        "the simulator predicts from the present sample, which the task asks for; use a window.horizon of at least 1"
-    )]
-    Present,
-    /// The simulation does not give the samples of the dataset.
-    #[error(
-        "episode {episode} of {dataset} is not what the simulation gives, so it can't be simulated on from there"
-    )]
-    Differs {
-        /// The episode.
-        episode: u32,
-        /// Name of the dataset.
-        dataset: String,
-    },
-}
+#[error("{0}")]
+pub struct SimulatorError(String);
 
 /// Simulates the outputs of `spec` at each horizon, from the state at each of the present samples `windows`, rounded to
 /// f32 and as far as it is `known`. Returns `[windows, width]` in physical units, which are means over the restarts.
@@ -101,17 +34,28 @@ pub(super) fn simulated(
 ) -> Result<BTreeMap<(Modality, usize), Vec<f32>>, ExperimentError> {
     let tested = source.tested();
     let (AnyDataset::Simulated(dataset), Some(scene)) = (&tested, source.tested_scene()) else {
-        return Err(SimulatorError::Imported(tested.name().to_owned()).into());
+        let message = format!(
+            "{} was imported, so the state at its samples is not known; name a world that repeats its setpoints, with \
+             --world WORLD",
+            tested.name()
+        );
+        return Err(SimulatorError(message).into());
     };
     let is_sensed = |modality: &&Modality| {
         dataset.layout().stored_vectors().any(|definition| definition.name == **modality)
     };
     if let Some(&modality) = spec.output.iter().find(|modality| !is_sensed(modality)) {
-        return Err(SimulatorError::Output { modality }.into());
+        let message = format!(
+            "the simulator predicts what it senses, and {modality} is an image or a change; ask for other outputs, \
+             for example output=[contact_force]"
+        );
+        return Err(SimulatorError(message).into());
     }
     let horizons = spec.window.horizons();
     if spec.window.horizon == 0 {
-        return Err(SimulatorError::Present.into());
+        let message = "the simulator predicts from the present sample, which the task asks for; use a window.horizon of \
+                       at least 1";
+        return Err(SimulatorError(message.to_owned()).into());
     }
     let of_episodes: Vec<&[Sample]> =
         windows.chunk_by(|a, b| samples.place(*a).0 == samples.place(*b).0).collect();
@@ -158,8 +102,11 @@ fn simulate_from(
         present.vector(modality).iter().eq(stored)
     };
     if !samples.layout().stored_vectors().all(|definition| is_same(definition.name)) {
-        let (episode, dataset) = (place as u32, dataset.name().to_owned());
-        return Err(SimulatorError::Differs { episode, dataset }.into());
+        let message = format!(
+            "episode {place} of {} is not what the simulation gives, so it can't be simulated on from there",
+            dataset.name()
+        );
+        return Err(SimulatorError(message).into());
     }
     Ok(ahead)
 }
@@ -263,10 +210,9 @@ impl FittedTo {
         let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
         let names = || samples.layout().stored_vectors().map(|definition| definition.name);
         let output = |wanted: &&str| {
-            names().find(|name| name.name() == *wanted).ok_or_else(|| SimulatorError::NotRecorded {
-                modality: (*wanted).to_owned(),
-                dataset: dataset.name().to_owned(),
-                there: names().map(Modality::name).collect::<Vec<_>>().join(", "),
+            names().find(|name| name.name() == *wanted).ok_or_else(|| {
+                let there = names().map(Modality::name).collect::<Vec<_>>().join(", ");
+                SimulatorError(format!("{} has no vector '{wanted}'; it has {there}", dataset.name()))
             })
         };
         let outputs = outputs.iter().map(output).collect::<Result<Vec<_>, _>>()?;
@@ -332,14 +278,17 @@ fn column_of(element: &Element, own: &[Element], all: &[Element]) -> Option<usiz
 fn setpoint_columns(scene: &Scene, recording: &Layout, dataset: &str) -> Result<Vec<usize>, SimulatorError> {
     let own = scene.layout().action();
     let column = |element: &Element| {
-        column_of(element, own, recording.action()).ok_or_else(|| SimulatorError::Element {
-            world: scene.scenario().to_string(),
-            element: with_unit(element),
-            dataset: dataset.to_owned(),
-            there: match recording.action() {
+        column_of(element, own, recording.action()).ok_or_else(|| {
+            let there = match recording.action() {
                 [] => "none".to_owned(),
                 all => all.iter().map(with_unit).collect::<Vec<_>>().join(", "),
-            },
+            };
+            SimulatorError(format!(
+                "the action of the world {} has the element {}, and the setpoints of {dataset} are {there}; name them \
+                 alike, with the same units",
+                scene.scenario(),
+                with_unit(element)
+            ))
         })
     };
     own.iter().map(column).collect()
@@ -352,11 +301,11 @@ fn output_columns(
     modality: Modality,
     dataset: &str,
 ) -> Result<Vec<usize>, SimulatorError> {
-    let unlike = |problem: String| SimulatorError::Unlike {
-        modality,
-        world: scene.scenario().to_string(),
-        dataset: dataset.to_owned(),
-        problem,
+    let unlike = |problem: String| {
+        let world = scene.scenario();
+        SimulatorError(format!(
+            "the output {modality} is not in the world {world} as in {dataset}: {problem}"
+        ))
     };
     let senses = || scene.layout().stored_vectors().filter(|one| one.name != Modality::SETPOINT);
     let Some(own) = senses().find(|definition| definition.name == modality) else {
