@@ -23,66 +23,36 @@ pub struct RecordedValue {
     pub value: f32,
 }
 
+impl RecordedValue {
+    /// Returns the value at a place in all values of a modality at a horizon, `[windows, width]`.
+    fn at(
+        samples: &Samples,
+        windows: &[Sample],
+        (modality, horizon): (Modality, usize),
+        values: &[f32],
+        place: usize,
+    ) -> Self {
+        let width = samples.layout()[modality].width();
+        let (episode, sample) = samples.place(windows[place / width].after(horizon));
+        Self { modality, episode, sample, horizon, index: place % width, value: values[place] }
+    }
+
+    /// Refuses the value.
+    fn wrong(self, problem: &str) -> RecordedError {
+        let Self { modality, episode, sample, horizon, index, .. } = self;
+        let ahead = counted(horizon, "sample");
+        RecordedError::Wrong(format!(
+            "episode {episode}, sample {sample}: {problem} ({modality}, element {index}, {ahead} ahead)"
+        ))
+    }
+}
+
 /// Why recorded predictions can't be judged.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum RecordedError {
-    /// A value belongs to nothing that is judged.
-    #[error(
-        "episode {}, sample {}: {problem} ({}, element {}, {} ahead)",
-        at.episode, at.sample, at.modality, at.index, counted(at.horizon, "sample")
-    )]
-    Value {
-        /// The value.
-        at: RecordedValue,
-        /// What is wrong.
-        problem: String,
-    },
-    /// A value is missing.
-    #[error(
-        "episode {episode}, sample {sample}: element {index} of {modality}, {} ahead, is missing",
-        counted(*horizon, "sample")
-    )]
-    Missing {
-        /// The predicted modality.
-        modality: Modality,
-        /// The episode of the dataset.
-        episode: usize,
-        /// The predicted sample, counted from 0 within its episode.
-        sample: usize,
-        /// Number of samples from the present to the predicted one.
-        horizon: usize,
-        /// The element of the modality.
-        index: usize,
-    },
-    /// The values of a modality at a horizon are missing, or nothing asks for them.
-    #[error("{problem} {modality}, {} ahead; the task asks for {asked}", counted(*horizon, "sample"))]
-    Asked {
-        /// What is wrong.
-        problem: &'static str,
-        /// The modality.
-        modality: Modality,
-        /// Number of samples from the present to the predicted one.
-        horizon: usize,
-        /// The modalities and horizons that the task asks for, in words.
-        asked: String,
-    },
-    /// The array of a modality has the wrong number of values.
-    #[error(
-        "{modality} has {found} values, {} ahead, instead of {windows} times {width}",
-        counted(*horizon, "sample")
-    )]
-    Length {
-        /// The modality.
-        modality: Modality,
-        /// Number of samples from the present to the predicted one.
-        horizon: usize,
-        /// Number of values.
-        found: usize,
-        /// Number of windows.
-        windows: usize,
-        /// Number of elements of the modality.
-        width: usize,
-    },
+    /// A value is missing, wrong, or asked by nothing. The text is the message.
+    #[error("{0}")]
+    Wrong(String),
     /// There are no values.
     #[error("there are no predictions")]
     Empty,
@@ -103,13 +73,16 @@ impl Asked<'_> {
         if values.is_empty() {
             return Err(RecordedError::Empty);
         }
-        let wrong = |problem, &(modality, horizon): &(Modality, usize)| {
+        let wrong = |problem: &str, &(modality, horizon): &(Modality, usize)| {
             let names: Vec<&str> = self.outputs.iter().map(|modality| modality.name()).collect();
             let numbers: Vec<String> = self.horizons.iter().map(usize::to_string).collect();
             let each = if names.len() > 1 { "each " } else { "" };
             let samples = if *self.horizons == [1] { "sample" } else { "samples" };
             let asked = format!("{}, {each}{} {samples} ahead", names.join(" and "), numbers.join(", "));
-            Err(RecordedError::Asked { problem, modality, horizon, asked })
+            let ahead = counted(horizon, "sample");
+            Err(RecordedError::Wrong(format!(
+                "{problem} {modality}, {ahead} ahead; the task asks for {asked}"
+            )))
         };
         let asked = self
             .outputs
@@ -142,19 +115,15 @@ pub struct Recorded<'a> {
 fn check_probabilities(samples: &Samples, windows: &[Sample], values: &Values) -> Result<(), RecordedError> {
     const ROUNDING: f32 = 1e-3;
     let categories = values.iter().filter(|((modality, _), _)| samples.layout()[*modality].category);
-    for (&(modality, horizon), values) in categories {
-        let width = samples.layout()[modality].width();
+    for (&of, values) in categories {
+        let width = samples.layout()[of.0].width();
         let is_wrong = |values: &[f32]| {
             let is_beyond = |value: &f32| !(-ROUNDING..=1.0 + ROUNDING).contains(value);
             values.iter().any(is_beyond) || (values.iter().sum::<f32>() - 1.0).abs() > ROUNDING
         };
         if let Some(place) = values.chunks_exact(width).position(is_wrong) {
-            let (episode, sample) = samples.place(windows[place].after(horizon));
-            let at =
-                RecordedValue { modality, episode, sample, horizon, index: 0, value: values[place * width] };
-            let problem =
-                "the values of categories are probabilities, from 0 to 1 and with the sum 1".to_owned();
-            return Err(RecordedError::Value { at, problem });
+            let problem = "the values of categories are probabilities, from 0 to 1 and with the sum 1";
+            return Err(RecordedValue::at(samples, windows, of, values, place * width).wrong(problem));
         }
     }
     Ok(())
@@ -176,7 +145,7 @@ impl<'a> Recorded<'a> {
     ) -> Result<Self, RecordedError> {
         let mut values = Values::new();
         for at in recorded {
-            let wrong = |problem: &str| RecordedError::Value { at, problem: problem.to_owned() };
+            let wrong = |problem: &str| at.wrong(problem);
             let definition = samples.layout().get(at.modality);
             let width = definition.ok_or_else(|| wrong("the dataset has no such modality"))?.width();
             let window =
@@ -196,17 +165,14 @@ impl<'a> Recorded<'a> {
             *value = at.value;
         }
         asked.check(&values)?;
-        for (&(modality, horizon), values) in &values {
+        for (&of, values) in &values {
             if let Some(place) = values.iter().position(|value| value.is_nan()) {
-                let width = samples.layout()[modality].width();
-                let (episode, sample) = samples.place(windows[place / width].after(horizon));
-                return Err(RecordedError::Missing {
-                    modality,
-                    episode,
-                    sample,
-                    horizon,
-                    index: place % width,
-                });
+                let missing = RecordedValue::at(samples, windows, of, values, place);
+                let RecordedValue { modality, episode, sample, horizon, index, .. } = missing;
+                let ahead = counted(horizon, "sample");
+                return Err(RecordedError::Wrong(format!(
+                    "episode {episode}, sample {sample}: element {index} of {modality}, {ahead} ahead, is missing"
+                )));
             }
         }
         check_probabilities(samples, windows, &values)?;
@@ -226,19 +192,18 @@ impl<'a> Recorded<'a> {
         values: Values,
     ) -> Result<Self, RecordedError> {
         asked.check(&values)?;
-        for (&(modality, horizon), values) in &values {
-            let at = |place: usize, width: usize| {
-                let (episode, sample) = samples.place(windows[place / width].after(horizon));
-                let (index, value) = (place % width, values[place]);
-                RecordedValue { modality, episode, sample, horizon, index, value }
-            };
-            let (windows, width, found) = (windows.len(), samples.layout()[modality].width(), values.len());
-            if found != windows * width {
-                return Err(RecordedError::Length { modality, horizon, found, windows, width });
+        for (&of, values) in &values {
+            let (modality, horizon) = of;
+            let (count, width, found) = (windows.len(), samples.layout()[modality].width(), values.len());
+            if found != count * width {
+                let ahead = counted(horizon, "sample");
+                return Err(RecordedError::Wrong(format!(
+                    "{modality} has {found} values, {ahead} ahead, instead of {count} times {width}"
+                )));
             }
             if let Some(place) = values.iter().position(|value| !value.is_finite()) {
-                let problem = "the value is not finite".to_owned();
-                return Err(RecordedError::Value { at: at(place, width), problem });
+                let problem = "the value is not finite";
+                return Err(RecordedValue::at(samples, windows, of, values, place).wrong(problem));
             }
         }
         check_probabilities(samples, windows, &values)?;
