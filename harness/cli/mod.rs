@@ -666,14 +666,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || error.is::<import::ImportError>()
         || error.is::<render::RenderError>()
         || error.is::<rollout::NotPredicted>()
-        || matches!(
-            error.downcast_ref(),
-            Some(
-                RolloutError::NoEpisode { .. }
-                    | RolloutError::TooShort { .. }
-                    | RolloutError::NoFeedback { .. }
-            )
-        )
+        || matches!(error.downcast_ref(), Some(RolloutError::Asked(_)))
         || matches!(
             error.downcast_ref(),
             Some(

@@ -14,7 +14,6 @@ use harness_samples::{Sample, Samples};
 use harness_shared::numbers::counted;
 use harness_spec::{Division, Memory, Modality, Part, Task, Window};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Why there are no predictions along an episode.
@@ -23,59 +22,18 @@ pub enum RolloutError {
     /// The network can't be loaded.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The dataset is not there.
-    #[error("the dataset of {run} is not there: {} is missing; run the experiment again to collect it", path.display())]
-    NoDataset {
-        /// Id of the run.
-        run: String,
-        /// Path of the dataset's folder.
-        path: PathBuf,
-    },
     /// The episode can't be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     /// The network can't be applied.
     #[error(transparent)]
     Judge(#[from] JudgeError),
-    /// The dataset has too few episodes.
-    #[error("there is no episode {episode}: the dataset of {run} has {}", counted(*episodes as usize, "episode"))]
-    NoEpisode {
-        /// Id of the run.
-        run: String,
-        /// The asked episode.
-        episode: u32,
-        /// The number of episodes.
-        episodes: u32,
-    },
-    /// The episode has no window of this length.
-    #[error(
-        "episode {episode} has {}, too few for a context of {} and a horizon of {}",
-        counted(*samples, "sample"), window.context, window.horizon
-    )]
-    TooShort {
-        /// The episode.
-        episode: u32,
-        /// The number of its samples.
-        samples: usize,
-        /// The window.
-        window: Window,
-    },
-    /// The network estimates the present sample.
-    #[error(
-        "the network of {0} estimates the present sample (window.horizon: 0), so it predicts no later one"
-    )]
-    Estimate(String),
-    /// The network has no memory and does not predict all of its inputs.
-    #[error(
-        "the network of {run} has no memory, so it predicts further than one sample from its own predictions, and \
-         these lack its input '{lacking}'; use --horizon 1, or a run that predicts it"
-    )]
-    NoFeedback {
-        /// Id of the run.
-        run: String,
-        /// The input that it does not predict.
-        lacking: Modality,
-    },
+    /// The run has no dataset, or its network predicts no later sample. The text is the message.
+    #[error("{0}")]
+    Unsuitable(String),
+    /// There is no such episode, or the horizon is too long for the episode or the network. The text is the message.
+    #[error("{0}")]
+    Asked(String),
 }
 
 /// An episode, and what a network predicts along it.
@@ -113,11 +71,18 @@ pub fn rollout(
     let (folder, record, trained) = finished(registry, wanted)?;
     let spec = &record.spec;
     if spec.window.horizon == 0 {
-        return Err(RolloutError::Estimate(record.run));
+        return Err(RolloutError::Unsuitable(format!(
+            "the network of {} estimates the present sample (window.horizon: 0), so it predicts no later one",
+            record.run
+        )));
     }
     let lacking = spec.input.iter().find(|modality| !spec.output.contains(modality));
-    if let Some(&lacking) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
-        return Err(RolloutError::NoFeedback { run: record.run, lacking });
+    if let Some(lacking) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
+        return Err(RolloutError::Asked(format!(
+            "the network of {} has no memory, so it predicts further than one sample from its own predictions, and \
+             these lack its input '{lacking}'; use --horizon 1, or a run that predicts it",
+            record.run
+        )));
     }
     let task = Task::Prediction;
     let mut parameters = Parameters::new();
@@ -130,7 +95,11 @@ pub fn rollout(
 
     let path = registry.datasets().join(record.tested());
     if !path.is_dir() {
-        return Err(RolloutError::NoDataset { run: record.run, path });
+        return Err(RolloutError::Unsuitable(format!(
+            "the dataset of {} is not there: {} is missing; run the experiment again to collect it",
+            record.run,
+            path.display()
+        )));
     }
     let dataset = AnyDataset::at(&path)?;
     let simulation = spec.test_simulation().or_else(|| spec.simulation.clone());
@@ -151,14 +120,23 @@ pub fn rollout(
     };
     let episode = episode.unwrap_or(usual);
     if episode >= episodes {
-        return Err(RolloutError::NoEpisode { run: record.run, episode, episodes });
+        let there = counted(episodes as usize, "episode");
+        return Err(RolloutError::Asked(format!(
+            "there is no episode {episode}: the dataset of {} has {there}",
+            record.run
+        )));
     }
     let samples = Arc::new(dataset.load_episode(episode)?);
     let data = NormalizedData::new(samples, Arc::new(normalizers), spec.action, Device::Cpu);
     let window = Window { horizon, ..spec.window.clone() };
     let present = data.samples.windows(&window.judged());
     if present.is_empty() {
-        return Err(RolloutError::TooShort { episode, samples: data.samples.len(), window });
+        return Err(RolloutError::Asked(format!(
+            "episode {episode} has {}, too few for a context of {} and a horizon of {}",
+            counted(data.samples.len(), "sample"),
+            window.context,
+            window.horizon
+        )));
     }
     let (network, input, output) = (network.detached(), &spec.input[..], &spec.output[..]);
     let trained = TrainedNetwork { data: &data, network, input, output, window: &window, draws: 0, seed: 0 };
