@@ -95,48 +95,9 @@ pub enum ExperimentError {
          simulation.actuations_per_episode)"
     )]
     NoTraining,
-    /// The dataset does not fit in memory.
-    #[error(
-        "the dataset {dataset} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
-         simulation.episodes or simulation.actuations_per_episode",
-        *needed as f64 / 1e9, *available as f64 / 1e9
-    )]
-    Memory {
-        /// Name of the dataset.
-        dataset: String,
-        /// Memory that it needs, bytes.
-        needed: u64,
-        /// Memory that is available, bytes.
-        available: u64,
-    },
-    /// The frames of the dataset do not fit on the disk.
-    #[error(
-        "the frames of the dataset {dataset} take {:.1} GB of disk while it is used, and only {:.1} GB are free in {}; \
-         make room, or lower simulation.episodes or simulation.actuations_per_episode",
-        *needed as f64 / 1e9, *available as f64 / 1e9, folder.display()
-    )]
-    Disk {
-        /// Name of the dataset.
-        dataset: String,
-        /// Disk space that the frames need, bytes.
-        needed: u64,
-        /// Disk space that is available, bytes.
-        available: u64,
-        /// The folder on that disk.
-        folder: PathBuf,
-    },
-    /// The training does not fit in memory.
-    #[error(
-        "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or lower \
-         network.hidden, network.channels or training.batch_size",
-        *needed as f64 / 1e9, *available as f64 / 1e9
-    )]
-    NetworkMemory {
-        /// Memory that the training needs, bytes.
-        needed: u64,
-        /// Memory that is available, bytes.
-        available: u64,
-    },
+    /// The dataset, its frames or the training do not fit in memory or on the disk. The text is the message.
+    #[error("{0}")]
+    NoRoom(String),
     /// The data that several runs share could not be prepared. The first of these runs tried it.
     #[error("{0}")]
     Preparation(String),
@@ -456,17 +417,28 @@ impl<'a> Runner<'a> {
     /// Returns an error if there is no space for a dataset. Reports it if frames are stored on disk.
     fn check_room(&self, source: &Source, frames: FramePlace) -> Result<(), ExperimentError> {
         let (layout, samples) = (source.dataset.layout(), source.len());
-        let name = source.dataset.name().to_owned();
+        let name = source.dataset.name();
         let (needed, available) = (Samples::bytes(layout, samples, frames), memory::within_reach());
         if needed > available {
-            return Err(ExperimentError::Memory { dataset: name, needed, available });
+            return Err(ExperimentError::NoRoom(format!(
+                "the dataset {name} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
+                 simulation.episodes or simulation.actuations_per_episode",
+                needed as f64 / 1e9,
+                available as f64 / 1e9
+            )));
         }
         if frames != FramePlace::Disk {
             return Ok(());
         }
         let (needed, folder) = (frame_bytes(layout, samples), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
-            return Err(ExperimentError::Disk { dataset: name, needed, available, folder });
+            return Err(ExperimentError::NoRoom(format!(
+                "the frames of the dataset {name} take {:.1} GB of disk while it is used, and only {:.1} GB are free \
+                 in {}; make room, or lower simulation.episodes or simulation.actuations_per_episode",
+                needed as f64 / 1e9,
+                available as f64 / 1e9,
+                folder.display()
+            )));
         }
         self.progress.say(&format!(
             "the frames of {name}, {:.1} GB, are in a temporary file next to it; --memory can keep them in memory",

@@ -411,7 +411,12 @@ impl WorkerPool<'_> {
                 return Ok(Promise { promised: &self.promised, bytes: needed });
             }
             if *promised == 0 {
-                return Err(ExperimentError::NetworkMemory { needed, available });
+                return Err(ExperimentError::NoRoom(format!(
+                    "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or \
+                     lower network.hidden, network.channels or training.batch_size",
+                    needed as f64 / 1e9,
+                    available as f64 / 1e9
+                )));
             }
             drop(promised);
             if self.runner.progress.cancelled() {
