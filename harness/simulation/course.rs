@@ -167,7 +167,7 @@ impl Course {
 }
 
 fn course_fault(path: &Path, line: u64, problem: String) -> SimulationError {
-    SimulationError::Course { path: path.to_owned(), line, problem }
+    SimulationError::Other(format!("{}:{line}: {problem}", path.display()))
 }
 
 /// The message of an error of the CSV reader, without the place.

@@ -131,8 +131,11 @@ pub fn follow_setpoints(
 /// # Errors
 /// When the spec names a policy.
 pub fn refuse_policy(spec: &Simulation) -> Result<(), SimulationError> {
-    match spec.policy.clone() {
-        Some(policy) => Err(SimulationError::Policy { policy }),
+    match &spec.policy {
+        Some(policy) => Err(SimulationError::Other(format!(
+            "simulation.policy is {policy}, and only Python can ask a policy for its setpoints: collect its episodes \
+             with `harness.collect(SPEC, policy=...)`"
+        ))),
         None => Ok(()),
     }
 }

@@ -60,7 +60,6 @@ pub use harness_spec::{Episode, Pose};
 
 use harness_spec::SpecError;
 use mujoco_rs::prelude::RendererError;
-use std::path::PathBuf;
 
 /// The MuJoCo version that the bindings, the models and the published numbers need.
 pub const MUJOCO_VERSION: &str = "3.17.0";
@@ -74,13 +73,6 @@ pub fn mujoco_version() -> &'static str {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// The linked MuJoCo library has another version than [`MUJOCO_VERSION`].
-    #[error("MuJoCo {found} is linked, but this program is built for {MUJOCO_VERSION}: run `make setup`")]
-    Version {
-        /// Version of the linked library.
-        found: String,
-    },
-
     /// The world file has a fault.
     #[error(transparent)]
     World(#[from] SpecError),
@@ -141,24 +133,6 @@ pub enum SimulationError {
         problem: String,
     },
 
-    /// A box could not be placed with the clearance that the spec asks for.
-    #[error(
-        "episode {episode}: no free place for box {placed} of {boxes} after {attempts} draws; \
-         widen the ranges or the area that boxes are placed in, or lower simulation.{setting}"
-    )]
-    Placement {
-        /// Index of the episode.
-        episode: u32,
-        /// Number of the box that has no place, counted from 1.
-        placed: usize,
-        /// Number of boxes in the scene.
-        boxes: usize,
-        /// Number of places that were drawn.
-        attempts: usize,
-        /// Key of the clearance under `simulation`.
-        setting: String,
-    },
-
     /// A placed body overlaps something at an episode's start.
     #[error(
         "episode {episode} would start with an overlap of {what}; move the area of placement '{placement}' away from \
@@ -186,26 +160,10 @@ pub enum SimulationError {
         what: String,
     },
 
-    /// A recorded course has a fault, or does not suit the spec.
-    #[error("{}:{line}: {problem}", path.display())]
-    Course {
-        /// The CSV file.
-        path: PathBuf,
-        /// The line of the fault, counted from 1.
-        line: u64,
-        /// What is wrong, and what is allowed.
-        problem: String,
-    },
-
-    /// A policy gives the setpoints, and only Python can call it.
-    #[error(
-        "simulation.policy is {policy}, and only Python can ask a policy for its setpoints: collect its episodes with \
-         `harness.collect(SPEC, policy=...)`"
-    )]
-    Policy {
-        /// Name and version of the policy.
-        policy: String,
-    },
+    /// Something else is in the way: the linked MuJoCo library has another version, a body finds no place, a recorded
+    /// course has a fault, or only Python can ask a policy for the setpoints. The text is the message.
+    #[error("{0}")]
+    Other(String),
 
     /// The caller cancelled the episode.
     #[error("episode {episode} was cancelled")]

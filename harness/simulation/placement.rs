@@ -72,13 +72,14 @@ impl Draws<'_> {
     }
 
     fn no_place(&self, placement: &Placement, place: usize) -> SimulationError {
-        SimulationError::Placement {
-            episode: self.episode,
-            placed: place + 1,
-            boxes: self.scene.boxes(),
-            attempts: MAX_DRAWS,
-            setting: placement.setting.clone(),
-        }
+        SimulationError::Other(format!(
+            "episode {}: no free place for box {} of {} after {MAX_DRAWS} draws; widen the ranges or the area that \
+             boxes are placed in, or lower simulation.{}",
+            self.episode,
+            place + 1,
+            self.scene.boxes(),
+            placement.setting
+        ))
     }
 
     /// Draws the bodies that would be too near another one at the largest sizes that the spec's factors can draw again.

@@ -504,7 +504,9 @@ pub(super) fn prepare() -> Result<(), SimulationError> {
 fn require_mujoco_version() -> Result<(), SimulationError> {
     match mujoco_version() {
         MUJOCO_VERSION => Ok(()),
-        found => Err(SimulationError::Version { found: found.to_owned() }),
+        found => Err(SimulationError::Other(format!(
+            "MuJoCo {found} is linked, but this program is built for {MUJOCO_VERSION}: run `make setup`"
+        ))),
     }
 }
 
