@@ -17,35 +17,9 @@ pub enum MetricsError {
         /// Number of values that a row must have.
         width: usize,
     },
-    /// Two matrices have different numbers of samples.
-    #[error(
-        "{first} has {first_samples} samples and {second} has {second_samples}; both must cover the same samples"
-    )]
-    Samples {
-        /// Name of the first matrix.
-        first: &'static str,
-        /// Number of its samples.
-        first_samples: usize,
-        /// Name of the second matrix.
-        second: &'static str,
-        /// Number of its samples.
-        second_samples: usize,
-    },
-    /// A value is infinite or NaN.
-    #[error(
-        "{what} is {value} at row {row}, column {column} of the batch; only finite values can be scored, so check the \
-         training for divergence"
-    )]
-    NotFinite {
-        /// Name of the matrix.
-        what: &'static str,
-        /// The value.
-        value: f32,
-        /// Its row in the batch, counted from 0.
-        row: usize,
-        /// Its column, counted from 0.
-        column: usize,
-    },
+    /// Two matrices have different numbers of samples, or a value is infinite or NaN. The text is the message.
+    #[error("{0}")]
+    Values(String),
     /// A baseline has no training samples.
     #[error("{what} has no training samples; add at least one")]
     NoSamples {
@@ -82,26 +56,23 @@ pub(super) fn rows<'a, T>(
 
 /// Returns an error if a matrix of `width` columns has a value that isn't finite. Errors call it `what`.
 pub(super) fn check_finite(what: &'static str, values: &[f32], width: usize) -> Result<(), MetricsError> {
-    match values.iter().position(|value| !value.is_finite()) {
-        None => Ok(()),
-        Some(at) => {
-            Err(MetricsError::NotFinite { what, value: values[at], row: at / width, column: at % width })
-        }
-    }
+    let Some(at) = values.iter().position(|value| !value.is_finite()) else { return Ok(()) };
+    let (value, row, column) = (values[at], at / width, at % width);
+    Err(MetricsError::Values(format!(
+        "{what} is {value} at row {row}, column {column} of the batch; only finite values can be scored, so check the \
+         training for divergence"
+    )))
 }
 
 /// Returns an error if two matrices have different numbers of samples.
 pub(super) fn check_samples(
-    first: (&'static str, usize),
-    second: (&'static str, usize),
+    (first, first_samples): (&str, usize),
+    (second, second_samples): (&str, usize),
 ) -> Result<(), MetricsError> {
-    if first.1 == second.1 {
+    if first_samples == second_samples {
         return Ok(());
     }
-    Err(MetricsError::Samples {
-        first: first.0,
-        first_samples: first.1,
-        second: second.0,
-        second_samples: second.1,
-    })
+    Err(MetricsError::Values(format!(
+        "{first} has {first_samples} samples and {second} has {second_samples}; both must cover the same samples"
+    )))
 }
