@@ -111,7 +111,10 @@ impl Model {
     /// # Errors
     /// When no run or several runs match, the run isn't done, or its network is missing or damaged.
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
-        let (folder, record, trained) = without_memory(finished(registry, wanted)?)?;
+        let (folder, record, trained) = finished(registry, wanted)?;
+        if trained.network.memory != Memory::None {
+            return Err(ModelError::Memory(record.run));
+        }
         let task = Task::Prediction;
         let architecture = applied(&record, &trained, task).scaled(&normalizers(&folder.checkpoint(task))?);
         let mut parameters = Parameters::new();
@@ -242,16 +245,6 @@ pub(crate) fn finished(
         (Status::Done, Some(trained)) => Ok((folder, record, trained)),
         (Status::Done, None) => Err(ModelError::External(record.run)),
         (status, _) => Err(ModelError::Unfinished { run: record.run, status }),
-    }
-}
-
-/// Refuses a run whose network has a memory.
-fn without_memory(
-    (folder, record, trained): (RunFolder, RunRecord, Trained),
-) -> Result<(RunFolder, RunRecord, Trained), ModelError> {
-    match trained.network.memory {
-        Memory::None => Ok((folder, record, trained)),
-        Memory::Window | Memory::Gru | Memory::Rssm => Err(ModelError::Memory(record.run)),
     }
 }
 
