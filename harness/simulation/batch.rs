@@ -22,7 +22,7 @@ impl Batch {
     /// When `count` is 0 or above 4096, and for the reasons of [`LiveSimulation::new`].
     pub fn new(scene: &'static Scene, spec: &Simulation, count: usize) -> Result<Self, SimulationError> {
         if !(1..=MAX_BATCH).contains(&count) {
-            return Err(SimulationError::Batch(format!(
+            return Err(SimulationError::Argument(format!(
                 "count: a batch holds 1 to {MAX_BATCH} simulations, not {count}"
             )));
         }
@@ -42,7 +42,7 @@ impl Batch {
     pub fn reset(&mut self, index: usize, seed: u64, episode: u32) -> Result<(), SimulationError> {
         let count = self.simulations.len();
         let simulation = self.simulations.get_mut(index).ok_or_else(|| {
-            SimulationError::Batch(format!(
+            SimulationError::Argument(format!(
                 "index: the batch has simulations 0 to {}, not {index}",
                 count - 1
             ))
@@ -59,7 +59,7 @@ impl Batch {
         let count = self.simulations.len();
         for (name, found) in [("setpoints", setpoints.len()), ("active", active.len())] {
             if found != count {
-                return Err(SimulationError::Batch(format!("{name}: {found} for {count} simulations")));
+                return Err(SimulationError::Argument(format!("{name}: {found} for {count} simulations")));
             }
         }
         self.each(|index, simulation| match active[index] {

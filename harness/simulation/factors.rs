@@ -37,7 +37,8 @@ impl FactorValues {
     /// When the scene has no such factor, or a value is not in the factor's range.
     pub fn given(scene: &Scene, values: &BTreeMap<String, f64>) -> Result<Self, SimulationError> {
         let given = |(name, value): (&String, &f64)| {
-            let refused = |problem| SimulationError::Factor { name: name.clone(), problem };
+            let refused =
+                |problem: String| SimulationError::Argument(format!("the factor '{name}': {problem}"));
             let place = scene.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
                 let names: Vec<&str> = scene.factors.iter().map(|factor| factor.name.as_str()).collect();
                 refused(match names.as_slice() {

@@ -106,15 +106,6 @@ pub enum SimulationError {
         problem: String,
     },
 
-    /// A factor of variation can't have a value.
-    #[error("the factor '{name}': {problem}")]
-    Factor {
-        /// The name of the factor.
-        name: String,
-        /// Why, and what is allowed.
-        problem: String,
-    },
-
     /// The model has nothing that a world's action could move.
     #[error("{scene} has neither an actuator nor a mocap body, and a world's action needs one of them")]
     NoAction {
@@ -211,9 +202,9 @@ pub enum SimulationError {
         expected: usize,
     },
 
-    /// An argument of a batch is wrong. The text is the message.
+    /// An argument of a batch, or the value of a factor of variation, is wrong. The text is the message.
     #[error("{0}")]
-    Batch(String),
+    Argument(String),
 
     /// A state has the wrong number of generalized positions.
     #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]

@@ -51,8 +51,7 @@ impl Raise for SimulationError {
             | Self::Spec { .. }
             | Self::PictureSize { .. }
             | Self::Setpoint { .. }
-            | Self::Factor { .. }
-            | Self::Batch(_) => self.value_error(),
+            | Self::Argument(_) => self.value_error(),
             _ => self.runtime_error(),
         }
     }
