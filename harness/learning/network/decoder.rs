@@ -48,7 +48,7 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
             let own = (!shares).then(|| builder.perceptron(name, &hidden)).transpose()?;
             let stack = Stack::new(channels, size, architecture.network.channels());
             let dense = builder.dense("frame", width, stack.coarse_len())?;
-            let convolutions = builder.transposed_convolutions(&stack)?;
+            let convolutions = builder.convolutions(&stack, true)?;
             let output = FrameOutput { stack, convolutions, dense, arithmetic: architecture.arithmetic };
             Ok::<_, candle_core::Error>((own, output))
         })

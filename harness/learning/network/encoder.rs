@@ -32,7 +32,7 @@ fn frame_input(
     let average = architecture.network.average;
     let size = architecture.size(images).map(|side| side / average);
     let stack = Stack::new(images.len() * IMAGE_CHANNELS, size, architecture.network.channels());
-    let convolutions = builder.convolutions(&stack)?;
+    let convolutions = builder.convolutions(&stack, false)?;
     let len = stack.coarse_len();
     let weight = builder.uniform(weight, &[outputs, len], len)?;
     Ok(FrameInput { stack, average, convolutions, weight, arithmetic: architecture.arithmetic })

@@ -90,38 +90,20 @@ impl Builder<'_> {
         })
     }
 
-    /// Creates the convolutions of an encoder, named `conv`, `conv2`, and so on.
-    pub fn convolutions(&mut self, stack: &Stack) -> Result<Vec<Dense>> {
+    /// Creates the convolutions of an encoder, or the `transposed` ones of a decoder, named `conv`, `conv2`, and so on.
+    /// The first one takes or produces the frame.
+    pub fn convolutions(&mut self, stack: &Stack, transposed: bool) -> Result<Vec<Dense>> {
         let layers = stack.layers().iter().enumerate().map(|(index, sizes)| {
             let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
-            self.convolution(index, [coarse, fine], coarse, fine)
-        });
-        layers.collect()
-    }
-
-    /// Creates the transposed convolutions of a decoder, named like those of the encoder. The first one produces the
-    /// frame.
-    pub fn transposed_convolutions(&mut self, stack: &Stack) -> Result<Vec<Dense>> {
-        let layers = stack.layers().iter().enumerate().map(|(index, sizes)| {
             // PyTorch computes the fan-in of a transposed convolution from its output channels.
-            let (coarse, fine) = (sizes.coarse_channels, sizes.fine_channels);
-            self.convolution(index, [coarse, fine], fine, fine)
+            let (name, fan_in) = (numbered("conv", index), fine * 16);
+            let bias = if transposed { fine } else { coarse };
+            Ok(Dense {
+                weight: self.uniform(&format!("{name}.weight"), &[coarse, fine, 4, 4], fan_in)?,
+                bias: self.uniform(&format!("{name}.bias"), &[bias], fan_in)?,
+            })
         });
         layers.collect()
-    }
-
-    fn convolution(
-        &mut self,
-        index: usize,
-        channels: [usize; 2],
-        bias: usize,
-        fan_in: usize,
-    ) -> Result<Dense> {
-        let (name, fan_in) = (numbered("conv", index), fan_in * 16);
-        Ok(Dense {
-            weight: self.uniform(&format!("{name}.weight"), &[channels[0], channels[1], 4, 4], fan_in)?,
-            bias: self.uniform(&format!("{name}.bias"), &[bias], fan_in)?,
-        })
     }
 }
 
