@@ -99,7 +99,7 @@ impl Adam {
         }
         let [learning_rate, mean_correction, square_correction, decayed] = self.factors();
         let step = AdamStep {
-            gradient_scale: 1.0,
+            gradient_scale: self.gradient_scale(gradients)? as f32,
             kept: 1.0,
             learning_rate,
             beta_mean: BETA_MEAN as f32,
@@ -108,7 +108,6 @@ impl Adam {
             mean_correction,
             square_correction,
         };
-        let step = AdamStep { gradient_scale: self.gradient_scale(gradients)? as f32, ..step };
         for slot in &mut self.slots {
             if let Some(grad) = gradients.get(&slot.parameter) {
                 let kept = if slot.parameter.rank() > 1 { decayed } else { 1.0 };
@@ -175,13 +174,10 @@ impl Adam {
     fn gradient_scale(&self, gradients: &GradStore) -> Result<f64> {
         let Some(clip_norm) = self.clip_norm else { return Ok(1.0) };
         let found = self.slots.iter().filter_map(|slot| gradients.get(&slot.parameter));
-        let squares = found.map(squared_norm).sum::<Result<f64>>()?;
+        let squares = found.map(|gradient| with_values(gradient, |values| Ok(sum_of_squares(values))));
+        let squares = squares.sum::<Result<f64>>()?;
         Ok((clip_norm / squares.sqrt()).min(1.0))
     }
-}
-
-fn squared_norm(gradient: &Tensor) -> Result<f64> {
-    with_values(gradient, |values| Ok(sum_of_squares(values)))
 }
 
 impl Moments {
