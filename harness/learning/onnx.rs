@@ -247,8 +247,7 @@ impl Writer<'_> {
 
     /// Adds whole numbers as a constant and returns its name.
     fn numbers(&mut self, name: String, values: &[usize]) -> String {
-        self.graph.constants.push(Tensor::numbers(&name, values));
-        name
+        self.shape(name, &values.iter().map(|value| *value as i64).collect::<Vec<_>>())
     }
 
     /// Adds a shape as a constant and returns its name. A -1 stands for the size that remains.
@@ -811,10 +810,6 @@ mod proto {
                 name: name.into(),
                 raw,
             }
-        }
-
-        pub fn numbers(name: &str, values: &[usize]) -> Self {
-            Self::shape(name, &values.iter().map(|value| *value as i64).collect::<Vec<_>>())
         }
 
         pub fn shape(name: &str, sizes: &[i64]) -> Self {
