@@ -39,8 +39,6 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::str::FromStr;
 
-const RELATIVE_ERROR: &str = "relative_error";
-
 /// Number of columns that a thread sums at a time.
 const COLUMNS_AT_ONCE: usize = 1024;
 
@@ -284,7 +282,7 @@ impl Metric {
             Metric::R2 => "r2",
             Metric::Rmse => "rmse",
             Metric::Mae => "mae",
-            Metric::RelativeError => RELATIVE_ERROR,
+            Metric::RelativeError => "relative_error",
             Metric::Skill => "skill",
             Metric::SkillHorizon => "skill_horizon",
             Metric::Kl => "kl",

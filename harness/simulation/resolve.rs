@@ -285,18 +285,15 @@ pub(super) struct Resolver<'a> {
 
 impl<'a> Resolver<'a> {
     pub fn new(world: &'a World, model: &'a MjModel) -> Self {
-        let force_of_geom = vec![None; model.ngeom() as usize];
-        let force_of_flex = vec![None; model.nflex() as usize];
-        let (contact_kinds, normals, posed) = (Vec::new(), Vec::new(), Vec::new());
         Self {
             world,
             model,
-            force_of_geom,
-            force_of_flex,
+            force_of_geom: vec![None; model.ngeom() as usize],
+            force_of_flex: vec![None; model.nflex() as usize],
             forces: 0,
-            contact_kinds,
-            normals,
-            posed,
+            contact_kinds: Vec::new(),
+            normals: Vec::new(),
+            posed: Vec::new(),
             tip: None,
         }
     }
