@@ -67,11 +67,7 @@ fn divided(samples: &Samples, split: &Split) -> Option<String> {
     let (labels, lengths) = (samples.labels(), lengths(samples));
     let parts = labels.parts(split, &lengths, false).ok()?;
     let values = labels.values(split.by, lengths.len()).ok()?;
-    let of = |wanted: Part| {
-        let own =
-            values.iter().zip(&parts).filter(|(_, part)| **part == wanted).map(|(value, _)| value.as_str());
-        own.collect::<BTreeSet<_>>()
-    };
+    let of = |part: Part| in_part(&values, &parts, part);
     let listed = |part: Part| first_few(&of(part).into_iter().collect::<Vec<_>>(), NAMES_SHOWN);
     Some(format!(
         "runs that ask for no other split divide by {}: {} for training, {} for validation, {} for the test",
@@ -80,6 +76,12 @@ fn divided(samples: &Samples, split: &Split) -> Option<String> {
         listed(Part::Validation),
         listed(Part::Test)
     ))
+}
+
+/// Returns the values of a label in one part of a split. `parts` has the part of each episode.
+fn in_part<'v>(values: &'v [String], parts: &[Part], wanted: Part) -> BTreeSet<&'v str> {
+    let own = values.iter().zip(parts).filter(|(_, part)| **part == wanted);
+    own.map(|(value, _)| value.as_str()).collect()
 }
 
 fn lengths(samples: &Samples) -> Vec<usize> {
@@ -197,12 +199,8 @@ fn missing_groups(samples: &Samples, split: &Split) -> Vec<String> {
     let sentence = |label: &Label| {
         let by = Division::new(&label.name).filter(|by| *by != split.by)?;
         let values = labels.values(by, lengths.len()).ok()?;
-        let of = |wanted: Part| {
-            let own = values.iter().zip(&parts).filter(move |(_, part)| **part == wanted);
-            own.map(|(value, _)| value.as_str()).collect::<BTreeSet<_>>()
-        };
-        let (all, training): (BTreeSet<&String>, _) = (values.iter().collect(), of(Part::Training));
-        let test = of(Part::Test);
+        let all: BTreeSet<&String> = values.iter().collect();
+        let [training, test] = [Part::Training, Part::Test].map(|part| in_part(&values, &parts, part));
         let missing: Vec<&str> = test.difference(&training).copied().collect();
         (all.len() < values.len() && !missing.is_empty()).then(|| {
             format!(
@@ -256,11 +254,7 @@ fn is_shared(values: &[String], samples: &Samples, split: &Split) -> bool {
         return true;
     }
     let Ok(parts) = samples.labels().parts(split, &lengths(samples), false) else { return false };
-    let of = |wanted: Part| {
-        let own = values.iter().zip(&parts).filter(move |(_, part)| **part == wanted);
-        own.map(|(value, _)| value).collect::<BTreeSet<_>>()
-    };
-    !of(Part::Training).is_disjoint(&of(Part::Test))
+    !in_part(values, &parts, Part::Training).is_disjoint(&in_part(values, &parts, Part::Test))
 }
 
 /// The mean of each element of a vector in each episode, `[element][episode]`.
