@@ -462,7 +462,7 @@ def claims(
     Example:
         >>> verdicts = harness.claims("vision_improves_force_r2", reading="recommended", results="results/reference")
         >>> verdicts["scenario"].to_list(), verdicts["verdict"].to_list()
-        (['empty', 'cluttered'], ['undecided', 'does not hold'])
+        (['empty', 'cluttered'], ['holds', 'does not hold'])
     """
     import polars
 

@@ -147,6 +147,7 @@ def test_the_page_on_metrics_has_every_metric_and_baseline(library: Path) -> Non
     # A network has a distribution only if latent states are drawn.
     metrics |= {"coverage_50", "coverage_90", "width_50", "width_90", "pit_BIN"}
     metrics |= {"accuracy", "balanced_accuracy", "log_loss", "confusion"}  # only of categories
+    metrics |= {"angle"}  # only of unit vectors
     metrics |= {"nearest_neighbors"}  # only of estimates of the present sample
     # The simulator is a model of another program.
     assert names == metrics | set(rows["model"]) - {"network", "simulator"} | {"METRIC_from_Ns", "skill", "skill_horizon"}
