@@ -490,9 +490,8 @@ fn judged_before(
     match &record.submission {
         Some(before) if before.predictions_sha256 == submission.predictions_sha256 => {
             if submission.network.is_some() && submission.network != before.network {
-                let message = format!(
-                    "{run} was written without a file of its model; to attach one, first `{remedy}`"
-                );
+                let message =
+                    format!("{run} was written without a file of its model; to attach one, first `{remedy}`");
                 return Err(refused(message).into());
             }
             Ok(Some(record))
