@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .mapping import Mapping, MappingError, StreamSettings
-from .streams import Stream, Take, blaming, changes, divided, natural, regular, sources, stamps
+from .streams import Stream, Take, blaming, changes, divided, natural, regular, stamps
 
 PACKING = {"scale_factor": 1, "add_offset": 0}
 """Attributes by which netCDF, which is HDF5, changes the stored numbers, with their values that change nothing."""
@@ -42,17 +42,18 @@ Opened = Callable[[Path], AbstractContextManager[Arrays]]
 """Opens the arrays of a file."""
 
 
-def takes_of(mapping: Mapping, reader: Any) -> list[Callable[[], Iterator[Take]]]:
+def takes_of(
+    mapping: Mapping, files: list[Path], opened: Opened, by_rows: bool = True
+) -> list[Callable[[], Iterator[Take]]]:
     """Returns what yields the takes of each file: one, or as the mapping divides the file.
 
     Args:
         mapping: the mapping.
-        reader: the module of the format. Its `opened` opens the arrays of a file, `SUFFIXES` and `MARKS` are those of
-            `sources`, and `BY_ROWS` is whether the first axis always counts the rows. Otherwise, it is the axis as long
-            as the times.
+        files: the files, in order.
+        opened: opens the arrays of a file.
+        by_rows: whether the first axis always counts the rows. Otherwise, it is the axis as long as the times.
     """
-    files, by_rows = sources(mapping, reader.SUFFIXES, getattr(reader, "MARKS", ())), getattr(reader, "BY_ROWS", True)
-    return [partial(_takes_of, mapping, path, reader.opened, by_rows) for path in files]
+    return [partial(_takes_of, mapping, path, opened, by_rows) for path in files]
 
 
 def _takes_of(mapping: Mapping, path: Path, opened: Opened, by_rows: bool) -> Iterator[Take]:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .arrays import Arrays
-from .streams import blaming, natural, needing
+from .arrays import Arrays, takes_of
+from .mapping import Mapping
+from .streams import Take, blaming, natural, needing, sources
 
 SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
+
+
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the HDF5 files."""
+    return takes_of(mapping, sources(mapping, SUFFIXES), opened)
 
 
 @contextlib.contextmanager

@@ -7,21 +7,25 @@ from 1: `trials/1/joints`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .arrays import Arrays
+from .arrays import Arrays, takes_of
 from .hdf5 import members
-from .streams import blaming, needing
+from .mapping import Mapping
+from .streams import Take, blaming, needing, sources
 
 SUFFIXES = (".mat",)
-BY_ROWS = False
-"""The rows of an array may be another axis than the first."""
 HDF5_MARK = b"\x89HDF"
 """What an HDF5 file has at its begin, or 512 bytes later, as those of MATLAB 7.3 do."""
+
+
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the MATLAB files."""
+    return takes_of(mapping, sources(mapping, SUFFIXES), opened, by_rows=False)
 
 
 @contextlib.contextmanager

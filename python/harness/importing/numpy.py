@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .arrays import Arrays
-from .streams import blaming, natural
+from .arrays import Arrays, takes_of
+from .mapping import Mapping
+from .streams import Take, blaming, natural, sources
 
 SUFFIXES = (".npz", ".npy")
+
+
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each NumPy file."""
+    return takes_of(mapping, sources(mapping, SUFFIXES), opened)
 
 
 @contextlib.contextmanager

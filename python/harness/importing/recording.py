@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from .alignment import Plan, Quality, align, plan, wanted
-from .arrays import takes_of
 from .labels import Labeling, number
 from .mapping import Columns, Mapping, MappingError, Sampling
 from .streams import NO_TIME, Coded, Take, checked, divided, seconds
@@ -97,11 +96,10 @@ class Takes:
 
     def __iter__(self) -> Iterator[Take]:
         first = None
-        takes = getattr(self._reader, "takes", None) or partial(takes_of, reader=self._reader)
-        for opened in takes(self.mapping):
+        for opened in self._reader.takes(self.mapping):
             # An error would otherwise leave the file open.
-            with contextlib.closing(opened()) as found:
-                while (take := self.tried(partial(next, found, None))) is not None:
+            with contextlib.closing(opened()) as takes:
+                while (take := self.tried(partial(next, takes, None))) is not None:
                     for part in self.tried(partial(self._parts, take)) or []:
                         whole = self.tried(partial(self._checked, part, first))
                         if whole is not None:

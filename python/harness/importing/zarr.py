@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from .arrays import Arrays
-from .mapping import MappingError
-from .streams import blaming, natural, needing
+from .arrays import Arrays, takes_of
+from .mapping import Mapping, MappingError
+from .streams import Take, blaming, natural, needing, sources
 
 SUFFIXES = (".zarr", ".zip")
 MARKS = ("zarr.json", ".zgroup", ".zmetadata")
 """Files at the top of a store."""
+
+
+def takes(mapping: Mapping) -> list[Callable[[], Iterator[Take]]]:
+    """Returns what yields the takes of each of the zarr stores."""
+    return takes_of(mapping, sources(mapping, SUFFIXES, MARKS), opened)
 
 
 @contextlib.contextmanager
