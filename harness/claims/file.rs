@@ -3,7 +3,7 @@
 use super::Claim;
 use super::metric::ClaimMetric;
 use harness_registry::Registry;
-use harness_spec::{BuiltIn, Experiment, SpecError, find};
+use harness_spec::{BuiltIn, Experiment, SpecError, find, is_name};
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
@@ -82,12 +82,6 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
     if claims.is_empty() {
         return Err(invalid(None, "the file contains no claims".into()));
     }
-    let is_name = |name: &String| {
-        let letters = name
-            .bytes()
-            .all(|letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'_');
-        letters && !name.is_empty() && !name.starts_with(|first: char| first.is_ascii_digit())
-    };
     if let Some(name) = file.definitions.keys().find(|name| !is_name(name)) {
         let message = format!(
             "'{name}' under `with` is no name of a query; use lower-case letters, digits and '_', a letter first"

@@ -693,16 +693,7 @@ impl TrainingRun<'_> {
         self.fit(task, &StateFile::none(), &|_| ()).run(&objective, &parameters)?;
         let (name, decoder) = (models::UNTRAINED, objective.decoder.detached());
         let trained = TrainedDecoder { name, data, latents: &latents, decoder, output: &spec.probes };
-        // The table of predictions does not tell this encoder from the trained one.
-        let Outcome { metrics, sums, timings, .. } = {
-            let mut own = Outcome::default();
-            self.judge(task, &trained, &mut own)?;
-            own
-        };
-        outcome.metrics.extend(metrics);
-        outcome.sums.extend(sums);
-        outcome.timings.evaluation += timings.evaluation;
-        Ok(())
+        self.judge(task, &trained, outcome)
     }
 
     /// Returns the decoder of the reconstruction with its initial parameters.
@@ -766,13 +757,14 @@ impl TrainingRun<'_> {
     ) -> Result<(), ExperimentError> {
         let begin = Instant::now();
         let PreparedData { open: OpenData { partition, .. }, references, .. } = self.prepared;
-        let sampled = &references.sampled;
+        // The table of predictions does not tell an untrained encoder from the trained one.
+        let sampled = (predictor.name() != models::UNTRAINED).then_some(&references.sampled[..]);
         let test = Test {
             samples: &self.data.samples,
             task,
             windows: &partition.test,
             since_s: &self.spec.window.since_s,
-            sampled: Some(sampled),
+            sampled,
         };
         let judged = judge(predictor, &test)?;
         outcome.extend(judged);

@@ -1,5 +1,6 @@
 //! How far predicted directions in space are from the true ones.
 
+use super::series::ratio;
 use super::{Direction, EpisodeSums, Metric, Row};
 use harness_spec::{AXES, Definition};
 use std::f64::consts::FRAC_PI_2;
@@ -65,16 +66,12 @@ impl Angles {
             direction,
             index: index.map(|index| index as u32),
             metric: Metric::Angle,
-            value: (count > 0.0).then(|| sum / count),
+            value: ratio(sum, count),
             unit: "rad".to_owned(),
         };
         let of = |elements: &[usize]| {
-            total(
-                elements
-                    .iter()
-                    .filter(|element| *element % AXES == 0)
-                    .map(|element| self.sums[element / AXES]),
-            )
+            let firsts = elements.iter().filter(|element| *element % AXES == 0);
+            total(firsts.map(|first| self.sums[first / AXES]))
         };
         let all: Vec<usize> = (0..self.definition.width()).collect();
         let groups = self.definition.groups.iter();

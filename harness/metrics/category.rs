@@ -3,6 +3,7 @@
 //! The predicted category is the one with the largest probability, or the first of several. For the log loss,
 //! probabilities below [`LEAST`] count as it, and are divided by their sum, so that a regression has a log loss too.
 
+use super::series::ratio;
 use super::{Direction, EpisodeSums, Metric, Row};
 use harness_spec::Definition;
 
@@ -143,8 +144,4 @@ impl Categories {
 fn largest(values: &[f32]) -> usize {
     let later = |best: usize, place: usize| if values[place] > values[best] { place } else { best };
     (0..values.len()).fold(0, later)
-}
-
-fn ratio(numerator: f64, denominator: f64) -> Option<f64> {
-    (denominator > 0.0).then(|| numerator / denominator)
 }

@@ -225,7 +225,8 @@ impl Metric {
         })
     }
 
-    /// Returns the metrics of a modality over all its values. Those of categories and of unit vectors are not computed from errors.
+    /// Returns the metrics of a modality over all its values. Those of categories and of unit vectors are not computed
+    /// from errors.
     pub fn of(definition: &Definition) -> Vec<Metric> {
         use Metric::*;
         if definition.has_own_loss() {

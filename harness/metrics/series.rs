@@ -161,6 +161,7 @@ pub fn value(metric: Metric, is_change: bool, series: &[Series]) -> Option<f64> 
     metric.of_sums(sums(metric, is_change, series)?)
 }
 
-fn ratio(numerator: f64, denominator: f64) -> Option<f64> {
+/// A ratio; `None` if its denominator is 0.
+pub(super) fn ratio(numerator: f64, denominator: f64) -> Option<f64> {
     (denominator > 0.0).then(|| numerator / denominator)
 }

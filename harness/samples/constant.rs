@@ -6,8 +6,12 @@ use harness_spec::{Modality, Window};
 /// Number of samples whose values are compared at once.
 const AT_ONCE: usize = 256;
 
-/// What is said of a modality that is always 0.
-const ZERO: &str = "is 0";
+/// What the values of a modality that does not change are.
+#[derive(Clone, Copy, PartialEq)]
+enum Constant {
+    Zero,
+    Other,
+}
 
 impl Samples {
     /// Returns a sentence for each of these outputs that is the same in all training or all test samples, such as
@@ -27,13 +31,17 @@ impl Samples {
             };
             let test = self.constant(*output, &after(&partition.test, window.first_horizon()));
             let training = self.constant(*output, &after(&partition.training, window.first_horizon()));
+            let says = |constant| if constant == Constant::Zero { "is 0" } else { "does not change" };
             match (test, training) {
                 // Categories that do not change have metrics, and so have directions.
-                (Some(is), _) if !definition.has_own_loss() || definition.unit_vectors && is == ZERO => {
-                    Some(format!("{output} {is} in all test samples, so its {metric} is not defined"))
+                (Some(is), _)
+                    if !definition.has_own_loss() || definition.unit_vectors && is == Constant::Zero =>
+                {
+                    Some(format!("{output} {} in all test samples, so its {metric} is not defined", says(is)))
                 }
                 (_, Some(is)) => Some(format!(
-                    "{output} {is} in all training samples, so no model can learn to predict it"
+                    "{output} {} in all training samples, so no model can learn to predict it",
+                    says(is)
                 )),
                 _ => None,
             }
@@ -42,13 +50,13 @@ impl Samples {
         outputs.iter().filter(is_loaded).filter_map(sentence).collect()
     }
 
-    /// Returns `is 0` or `does not change` for a modality that is the same at all of these samples.
-    fn constant(&self, modality: Modality, at: &[Sample]) -> Option<&'static str> {
+    /// Returns what a modality is if it is the same at all of these samples.
+    fn constant(&self, modality: Modality, at: &[Sample]) -> Option<Constant> {
         let first = physical(self, modality, at.get(..1)?);
         let is_same = |at: &[Sample]| {
             physical(self, modality, at).chunks_exact(first.len()).all(|values| values == first)
         };
         let is_zero = first.iter().all(|value| *value == 0.0);
-        at.chunks(AT_ONCE).all(is_same).then_some(if is_zero { ZERO } else { "does not change" })
+        at.chunks(AT_ONCE).all(is_same).then_some(if is_zero { Constant::Zero } else { Constant::Other })
     }
 }

@@ -165,7 +165,7 @@ impl Moments {
     /// Returns the normalizer of `width` elements of unit vectors: their root mean square length becomes 1, and what has
     /// no direction stays 0.
     fn scale_of_lengths(&self, width: usize) -> Normalizer {
-        let square = self.square.iter().sum::<f64>() / self.count.max(1.0);
+        let square = self.square.iter().sum::<f64>() / self.count;
         Normalizer { mean: vec![0.0; width], std: vec![root(square)], minimum: None }
     }
 

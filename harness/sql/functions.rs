@@ -647,10 +647,8 @@ pub enum Aggregate {
 /// The value in the row in which another value, `by`, is smallest, or largest with `arg_max`: the first such row. Rows
 /// in which one of the two is null are left out. Both are names of columns.
 pub fn value_at(name: &str, value: &str, by: &str) -> Expr {
-    let order = SortMultipleOptions::default()
-        .with_order_descending(name == "arg_max")
-        .with_nulls_last(true)
-        .with_maintain_order(true);
+    let order =
+        SortMultipleOptions::default().with_order_descending(name == "arg_max").with_maintain_order(true);
     let counts = col(value).is_not_null().and(col(by).is_not_null());
     col(value).filter(counts.clone()).sort_by([col(by).filter(counts)], order).first()
 }

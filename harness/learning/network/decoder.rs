@@ -121,6 +121,15 @@ impl PerceptronDecoder {
         Ok(Hidden { vectors, frames })
     }
 
+    /// Returns the loss of a vector that is not learned by the error of each element.
+    fn own_loss(&self, modality: Modality) -> Option<fn(&Tensor, &Tensor) -> Result<Tensor>> {
+        match modality {
+            modality if self.categories.contains(&modality) => Some(categorical_cross_entropy),
+            modality if self.unit_vectors.contains(&modality) => Some(cosine_losses),
+            _ => None,
+        }
+    }
+
     fn side_by_side(&self, hidden: &Hidden) -> Result<Option<Tensor>> {
         self.vectors.as_ref().map(|layers| layers.forward(&hidden.vectors, false)).transpose()
     }
@@ -191,17 +200,14 @@ impl Decoder for PerceptronDecoder {
                         };
                         score(head, &outputs, &predicted, &target, targets.parts)?
                     }
-                    None if self.categories.contains(&modality) => {
-                        let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
-                        let losses = categorical_cross_entropy(&columns(&predicted)?, &columns(&target)?)?;
-                        losses.reshape((targets.parts, ()))?.mean(1)?
-                    }
-                    None if self.unit_vectors.contains(&modality) => {
-                        let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
-                        let losses = cosine_losses(&columns(&predicted)?, &columns(&target)?)?;
-                        losses.reshape((targets.parts, ()))?.mean(1)?
-                    }
-                    None => losses.get(index)?,
+                    None => match self.own_loss(modality) {
+                        Some(own_loss) => {
+                            let columns = |of: &Tensor| of.narrow(1, first, width)?.contiguous();
+                            let losses = own_loss(&columns(&predicted)?, &columns(&target)?)?;
+                            losses.reshape((targets.parts, ()))?.mean(1)?
+                        }
+                        None => losses.get(index)?,
+                    },
                 };
                 first += width;
                 terms.push(Term { modality, value });

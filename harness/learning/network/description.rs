@@ -169,8 +169,8 @@ pub struct Output {
     /// Values below this bound are set to it, after they were converted to SI units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minimum: Option<f64>,
-    /// The loss that the decoder was trained with, in normalized units: `squared`, `absolute` or `huber`, or
-    /// `cross_entropy` of categories, or `cosine` of unit vectors. It has no effect with a distribution.
+    /// The loss that the decoder was trained with, in normalized units: `squared`, `absolute`, `huber`,
+    /// `cross_entropy` of categories or `cosine` of unit vectors. It has no effect with a distribution.
     pub loss: &'static str,
     /// Whether the values are the softmax over its columns: the probability of each category.
     #[serde(skip_serializing_if = "std::ops::Not::not")]

@@ -267,7 +267,7 @@ impl Definition {
         matches!(self.kind, Kind::Image { .. })
     }
 
-    /// Returns whether a network learns it by a loss of its own, from values that are not scaled: categories and unit
+    /// Returns whether a network learns it by a loss of its own, and a spec can't set its scaling: categories and unit
     /// vectors.
     pub fn has_own_loss(&self) -> bool {
         self.category || self.unit_vectors
