@@ -1134,8 +1134,14 @@ claims:
         let said = succeed(folder.path(), &["claims", "--file", path, "--format", "csv"]);
         assert!(said.contains("force,") && !said.contains("no data"), "{query}: {said}");
     }
-    let error = load_text(&format!("with: {{v-x: select 1}}\nclaims:\n{ONE}")).unwrap_err();
-    assert!(error.contains("'v-x' under `with` is no name of a query"), "{error}");
+    for (definition, message) in [
+        ("v-x: select 1", "claims.yaml:2:8: 'v-x' under `with` is no name of a query"),
+        ("runs: select 1", "claims.yaml:2:9: there is a table 'runs', which a query under `with` would hide"),
+        ("best: selec value from runs", "claims.yaml:2:9: the query 'best' under `with`: "),
+    ] {
+        let error = load_text(&format!("with:\n  {definition}\nclaims:\n{ONE}")).unwrap_err();
+        assert!(error.starts_with(message), "{error}");
+    }
 }
 
 #[test]

@@ -4,6 +4,8 @@ use super::Claim;
 use super::metric::ClaimMetric;
 use harness_registry::Registry;
 use harness_spec::{BuiltIn, Experiment, SpecError, find, is_name};
+use harness_sql::Query;
+use harness_tables::schema::Table;
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_yaml::{Location, MessageFormatter, Spanned, UserMessageFormatter};
@@ -19,7 +21,7 @@ pub struct ClaimsFile {
     pub readings: Option<PathBuf>,
     /// Queries by name. The queries of claims, and these queries themselves, can read a name as a table.
     #[serde(default, rename = "with")]
-    pub definitions: BTreeMap<String, String>,
+    pub definitions: BTreeMap<String, Spanned<String>>,
     /// The claims, in the order of the file.
     pub claims: Vec<Claim>,
 }
@@ -82,11 +84,9 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
     if claims.is_empty() {
         return Err(invalid(None, "the file contains no claims".into()));
     }
-    if let Some(name) = file.definitions.keys().find(|name| !is_name(name)) {
-        let message = format!(
-            "'{name}' under `with` is no name of a query; use lower-case letters, digits and '_', a letter first"
-        );
-        return Err(invalid(None, message));
+    for (name, query) in &file.definitions {
+        fault_of_definition(name, &query.value)
+            .map_or(Ok(()), |message| Err(invalid(Some(query.defined), message)))?;
     }
     for claim in claims.iter_mut() {
         claim.insert(&file.definitions);
@@ -116,14 +116,32 @@ pub fn load(path: &Path) -> Result<ClaimsFile, SpecError> {
     Ok(file)
 }
 
+/// What is wrong with a query under `with`, or with its name. A query with placeholders is checked in the claims that
+/// read it.
+fn fault_of_definition(name: &str, query: &str) -> Option<String> {
+    if !is_name(name) {
+        return Some(format!(
+            "'{name}' under `with` is no name of a query; use lower-case letters, digits and '_', a letter first"
+        ));
+    }
+    if Table::ALL.iter().any(|table| table.name() == name) {
+        return Some(format!(
+            "there is a table '{name}', which a query under `with` would hide; use another name"
+        ));
+    }
+    let fault = Query::parse(query).err().filter(|_| !query.contains('{'))?;
+    Some(format!("the query '{name}' under `with`: {fault}"))
+}
+
 /// Puts those definitions before a query whose names it contains, and those whose names these contain.
-pub(super) fn with_definitions(query: &str, definitions: &BTreeMap<String, String>) -> String {
+pub(super) fn with_definitions(query: &str, definitions: &BTreeMap<String, Spanned<String>>) -> String {
     let mut used = Vec::new();
     add_used(query, definitions, &mut BTreeSet::new(), &mut used);
     if used.is_empty() {
         return query.to_owned();
     }
-    let of = |name: &&str| format!("{name} as (\n{}\n)", definitions[*name].trim().trim_end_matches(';'));
+    let of =
+        |name: &&str| format!("{name} as (\n{}\n)", definitions[*name].value.trim().trim_end_matches(';'));
     let list: Vec<String> = used.iter().map(of).collect();
     let own = after_with(query).map_or(format!("\n{query}"), |own| format!(", {}", own.trim_start()));
     format!("with {}{own}", list.join(", "))
@@ -132,13 +150,13 @@ pub(super) fn with_definitions(query: &str, definitions: &BTreeMap<String, Strin
 /// Adds the names of definitions that a query contains, each after those that its own query contains.
 fn add_used<'a>(
     query: &str,
-    definitions: &'a BTreeMap<String, String>,
+    definitions: &'a BTreeMap<String, Spanned<String>>,
     seen: &mut BTreeSet<&'a str>,
     used: &mut Vec<&'a str>,
 ) {
     for (name, sql) in definitions {
         if words(query).any(|word| word.eq_ignore_ascii_case(name)) && seen.insert(name) {
-            add_used(sql, definitions, seen, used);
+            add_used(&sql.value, definitions, seen, used);
             used.push(name);
         }
     }

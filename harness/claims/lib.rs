@@ -165,7 +165,7 @@ impl Claim {
     }
 
     /// Puts those definitions before the claim's queries whose names they contain.
-    fn insert(&mut self, definitions: &BTreeMap<String, String>) {
+    fn insert(&mut self, definitions: &BTreeMap<String, Spanned<String>>) {
         let required = self.requires.as_mut().map(|requirement| &mut requirement.query.value);
         for query in std::iter::once(&mut self.query.value).chain(required) {
             *query = file::with_definitions(query, definitions);
