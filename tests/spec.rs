@@ -2239,7 +2239,7 @@ fn the_schema_for_editors_is_up_to_date() {
     if std::env::var_os("UPDATE").is_some() {
         fs::write(&path, &schema).unwrap();
     }
-    let advice = "experiments/schema.json is out of date; UPDATE=1 cargo test -p harness-spec writes it";
+    let advice = "experiments/schema.json is out of date; UPDATE=1 cargo test --test spec writes it";
     assert!(fs::read_to_string(path).unwrap() == schema, "{advice}");
     // Each setting is described once.
     assert!(schema.lines().count() <= 2700, "{} lines", schema.lines().count());
@@ -2313,6 +2313,14 @@ network: {preset: single_to_multi}
         error,
         "outputs.object.loss: 'object' has unit vectors, whose loss is 1 minus the cosine of the angle; leave it out"
     );
+    let further = format!("{both}window: {{horizon: 2}}\n");
+    assert_eq!(check(&further, ""), Ok(()));
+    let error = load(&further).runs()[0].check(&layout).unwrap_err();
+    assert!(
+        error.starts_with("window.horizon: a network without memory predicts further than one"),
+        "{error}"
+    );
+    assert!(error.contains("of its input 'object' it predicts only the direction"), "{error}");
 }
 
 #[test]

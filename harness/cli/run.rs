@@ -10,7 +10,7 @@ use clap::Args;
 use harness::analysis::{self, Setting};
 use harness::collection::{check_missing, collect, collect_share, dataset_of};
 use harness::dataset::Dataset;
-use harness::experiment::{Planned, Runner, Summary, best, describe, provenance};
+use harness::experiment::{Planned, Runner, Summary, best, check_in_worlds, describe, provenance};
 use harness::numbers::{counted, rounded};
 use harness::progress::Silent;
 use harness::registry::{Decision, Registry, RunRecord, Status, quoted};
@@ -467,6 +467,7 @@ impl Validate {
     /// Checks the spec, and prints its runs.
     pub fn execute(self) -> Result<ExitCode> {
         let experiment = self.spec.load()?;
+        check_in_worlds(&experiment)?;
         let runs = experiment.runs();
         println!("{} is valid: {}", self.spec.path.display(), counted(runs.len(), "run"));
         for run in runs {

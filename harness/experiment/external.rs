@@ -2,7 +2,7 @@
 
 use super::evaluate::{self, References};
 use super::simulator::{Replay, simulated};
-use super::{ExperimentError, OpenData, Runner, Source, describe};
+use super::{ExperimentError, OpenData, Runner, Source, describe, sources};
 use harness_judge::{Asked, Predictor, Recorded, RecordedError, RecordedValue, Test, judge, models};
 use harness_registry::dataset::AnyDataset;
 use harness_registry::{Outcome, Registry, RunFolder, RunRecord, Status, Submission, Timings, quoted};
@@ -345,24 +345,23 @@ impl Runner<'_> {
     /// Returns the tasks of an experiment that differ in their data, inputs, outputs or windows. Cells that differ only
     /// in their networks are one task.
     pub fn tasks(&self, experiment: &Experiment) -> Result<Vec<PredictionTask>, ExperimentError> {
-        let mut tasks: Vec<PredictionTask> = Vec::new();
+        let mut specs: Vec<RunSpec> = Vec::new();
+        let mut variants = Vec::new();
         for run in experiment.runs() {
             let spec = run.external("", "", 0);
-            if tasks.iter().any(|task| task.spec == spec) {
-                continue;
+            if !specs.contains(&spec) {
+                specs.push(spec);
+                variants.push(run.variant_parts().0.to_owned());
             }
-            let known = tasks.iter().find(|task| {
-                (&task.spec.scenario, &task.spec.simulation, &task.spec.test)
-                    == (&spec.scenario, &spec.simulation, &spec.test)
-            });
-            let source = match known {
-                Some(task) => task.source.clone(),
-                None => Arc::new(self.source(experiment, &spec)?),
-            };
-            source.check(&spec)?;
-            let variant = run.variant_parts().0.to_owned();
-            tasks.push(PredictionTask { experiment: experiment.name.clone(), variant, spec, source });
         }
+        let of = |((spec, source), variant)| PredictionTask {
+            experiment: experiment.name.clone(),
+            variant,
+            spec,
+            source,
+        };
+        let sources = sources(&self.registry.datasets(), experiment, specs)?;
+        let mut tasks: Vec<PredictionTask> = sources.into_iter().zip(variants).map(of).collect();
         // A scenario with one task needs no variant to tell it from others.
         let place = |task: &PredictionTask| (task.spec.scenario.clone(), task.spec.dataset_seed());
         let places: Vec<_> = tasks.iter().map(place).collect();

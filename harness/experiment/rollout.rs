@@ -76,11 +76,16 @@ pub fn rollout(
             record.run
         )));
     }
-    let lacking = spec.input.iter().find(|modality| !spec.output.contains(modality));
-    if let Some(lacking) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
+    let lacks = |modality: &Modality| match spec.output.contains(modality) {
+        false => Some(("lack", *modality)),
+        true if record.layout[*modality].unit_vectors => Some(("have only the direction of", *modality)),
+        true => None,
+    };
+    let lacking = spec.input.iter().find_map(lacks);
+    if let Some((lack, input)) = lacking.filter(|_| horizon > 1 && trained.network.memory == Memory::None) {
         return Err(RolloutError::Asked(format!(
             "the network of {} has no memory, so it predicts further than one sample from its own predictions, and \
-             these lack its input '{lacking}'; use --horizon 1, or a run that predicts it",
+             these {lack} its input '{input}'; use --horizon 1, or a run with memory",
             record.run
         )));
     }

@@ -5,7 +5,7 @@ use super::origin::Origin;
 use super::simulation::Simulation;
 use super::split::Split;
 use super::stored::stored;
-use super::types::{Action, Family, Given, Network, Task, TestDataset, Training, Window};
+use super::types::{Action, Family, Given, Memory, Network, Task, TestDataset, Training, Window};
 use super::validate::{Images, check_images};
 use crate::layout::{Layout, Modality, Scale, Scaling, Scalings};
 use harness_shared::seal::hex;
@@ -377,7 +377,16 @@ impl RunSpec {
             if self.scaling.get(&name).is_some_and(is_given) {
                 return Err(format!("'{name}' {has}, which are not scaled; leave out scaling.{name}"));
             }
-            let Some(Trained { training, .. }) = self.trained() else { continue };
+            let Some(Trained { network, training, .. }) = self.trained() else { continue };
+            let is_fed_back =
+                self.window.horizon > 1 && network.memory == Memory::None && self.input.contains(&name);
+            if definition.unit_vectors && is_fed_back {
+                return Err(format!(
+                    "window.horizon: a network without memory predicts further than one sample from its own \
+                     predictions, and of its input '{name}' it predicts only the direction; leave it out of the input, \
+                     or use network.memory or horizon: 1"
+                ));
+            }
             let (setting, why) = if training.predict.contains_key(&name) {
                 ("predict", "which have no change; predict their value".to_owned())
             } else if training.losses.contains_key(&name) {
