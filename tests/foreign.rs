@@ -18,8 +18,9 @@ struct Robot {
     /// Samples per second, and duration of a move, s. They make the experiment short.
     sample_rate_hz: f64,
     actuation_seconds: f64,
-    /// What is compared beyond [`ALWAYS`], by its source in a world file. Its values vary during the episodes.
-    compared: &'static [&'static str],
+    /// What is compared beyond [`ALWAYS`], by its source in a world file. Its values vary during the episodes. `bodies`
+    /// and `sites` stand for positions and orientations, and `contacts` for forces and normals.
+    compared: &'static str,
 }
 
 /// What is compared for each robot. `controls` are the recorded setpoints.
@@ -90,11 +91,27 @@ impl Robot {
             let of_source = said.lines().filter(|line| line.contains(&format!(": {source}, ")));
             of_source.filter(|line| !line.contains(", 0 vary")).count() > 0
         };
-        for source in ALWAYS.iter().chain(self.compared) {
+        let compared = self.compared.split_whitespace().flat_map(|word| match word {
+            "bodies" => vec!["body_positions", "body_orientations"],
+            "sites" => vec!["site_positions", "site_orientations"],
+            "contacts" => vec!["normal_force", "contact_normal"],
+            source => vec![source],
+        });
+        for source in ALWAYS.into_iter().chain(compared) {
             assert!(varies(source), "{}: no {source} was compared, or it was constant: {said}", self.name());
         }
     }
 }
+
+/// The timing of most robots.
+const TYPICAL: Robot = Robot {
+    model: (FIXTURES, ""),
+    input: "",
+    output: "",
+    sample_rate_hz: 10.0,
+    actuation_seconds: 0.4,
+    compared: "",
+};
 
 /// Runge-Kutta of the 4th order, and a cylinder.
 const ACROBOT: Robot = Robot {
@@ -103,7 +120,7 @@ const ACROBOT: Robot = Robot {
     output: "[joint_velocities]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.2,
-    compared: &["camera", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+    compared: "camera bodies sites",
 };
 /// Elliptic friction cones, cylinders and touch sensors.
 const FINGER: Robot = Robot {
@@ -112,101 +129,47 @@ const FINGER: Robot = Robot {
     output: "[framepos, touch]",
     sample_rate_hz: 10.0,
     actuation_seconds: 0.2,
-    compared: &[
-        "sensor",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "sensor camera bodies sites",
 };
 /// A free joint in a fluid, and tendons.
 const FISH: Robot = Robot {
     model: (SUITE, "dm_control/suite/fish.xml"),
     input: "[joints, gyro]",
     output: "[joints, velocimeter]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "sensor",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "sensor camera bodies sites",
+    ..TYPICAL
 };
 /// Slides, tendons, an equality constraint and elliptic friction cones.
 const MANIPULATOR: Robot = Robot {
     model: (SUITE, "dm_control/suite/manipulator.xml"),
     input: "[joints, hand]",
     output: "[joints, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "normal_force",
-        "contact_normal",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "contacts camera bodies sites",
+    ..TYPICAL
 };
 /// Two free joints, a flat height field, filtered actuators and rangefinders.
 const QUADRUPED: Robot = Robot {
     model: (SUITE, "dm_control/suite/quadruped.xml"),
     input: "[joints, rangefinder]",
     output: "[joint_velocities, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "normal_force",
-        "contact_normal",
-        "sensor",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "contacts sensor camera bodies sites",
+    ..TYPICAL
 };
 /// Force, torque and touch sensors.
 const HUMANOID: Robot = Robot {
     model: (SUITE, "dm_control/suite/humanoid.xml"),
     input: "[joints, gyro]",
     output: "[touch, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "normal_force",
-        "contact_normal",
-        "sensor",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "contacts sensor camera bodies sites",
+    ..TYPICAL
 };
 /// Skins, 162 meshes and 38 filtered actuators.
 const DOG: Robot = Robot {
     model: (SUITE, "dm_control/suite/dog.xml"),
     input: "[joints, head]",
     output: "[joints, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "normal_force",
-        "contact_normal",
-        "sensor",
-        "camera",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "contacts sensor camera bodies sites",
+    ..TYPICAL
 };
 /// Runge-Kutta of the 4th order, and a free joint.
 const MUJOCOS_HUMANOID: Robot = Robot {
@@ -215,25 +178,23 @@ const MUJOCOS_HUMANOID: Robot = Robot {
     output: "[joints, contact_force]",
     sample_rate_hz: 1000.0 / 99.0,
     actuation_seconds: 0.198,
-    compared: &["normal_force", "contact_normal", "camera", "body_positions", "body_orientations"],
+    compared: "contacts camera bodies",
 };
 /// Ball joints, and 28 kinds of sensors.
 const SENSORS: Robot = Robot {
     model: (OTHERS, "mujoco/mjx/test_data/sensor/sensor.xml"),
     input: "[joints, framequat]",
     output: "[gyro, framelinacc]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["sensor", "body_positions", "body_orientations", "site_positions", "site_orientations"],
+    compared: "sensor bodies sites",
+    ..TYPICAL
 };
 /// Six muscles, and tendons that wrap around cylinders.
 const MUSCLES: Robot = Robot {
     model: (OTHERS, "mujoco/mjx/test_data/actuator/arm26.xml"),
     input: "[joints]",
     output: "[joints, site_places]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["site_positions", "site_orientations"],
+    compared: "sites",
+    ..TYPICAL
 };
 /// A soft body of 384 vertices on a cylinder.
 const FLEX: Robot = Robot {
@@ -242,32 +203,23 @@ const FLEX: Robot = Robot {
     output: "[joints, places]",
     sample_rate_hz: 20.0,
     actuation_seconds: 0.2,
-    compared: &["body_positions"],
+    compared: "body_positions",
 };
 /// 24 servos, tendons and meshes.
 const HAND: Robot = Robot {
     model: (OTHERS, "mujoco/mjx/test_data/shadow_hand/scene_right.xml"),
     input: "[joints]",
     output: "[joints, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &[
-        "normal_force",
-        "contact_normal",
-        "body_positions",
-        "body_orientations",
-        "site_positions",
-        "site_orientations",
-    ],
+    compared: "contacts bodies sites",
+    ..TYPICAL
 };
 /// A four-legged robot of meshes above a height field.
 const HEIGHT_FIELD: Robot = Robot {
     model: (OTHERS, "mujoco/mjx/test_data/barkour_v0/assets/barkour_v0_mjx.xml"),
     input: "[joints, gyro]",
     output: "[joints, accelerometer]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["sensor", "camera", "body_positions", "body_orientations"],
+    compared: "sensor camera bodies",
+    ..TYPICAL
 };
 
 /// An elastic cable of 10 links, computed by a plugin.
@@ -275,18 +227,16 @@ const CABLE: Robot = Robot {
     model: (FIXTURES, "cable.xml"),
     input: "[joints, side]",
     output: "[joints, contact_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations"],
+    compared: "contacts bodies",
+    ..TYPICAL
 };
 /// A sensor of a plugin: a grid of 7 x 7 taxels with three values each.
 const TOUCH_GRID: Robot = Robot {
     model: (FIXTURES, "touch_grid.xml"),
     input: "[joints, plugin]",
     output: "[joints, plugin]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["sensor", "normal_force", "contact_normal", "body_positions"],
+    compared: "sensor contacts body_positions",
+    ..TYPICAL
 };
 
 /// A ball that a mocap body carries by a weld. It has no actuator.
@@ -294,18 +244,16 @@ const MOCAP: Robot = Robot {
     model: (FIXTURES, "mocap.xml"),
     input: "[joints, places]",
     output: "[joints, other_joints]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["normal_force", "contact_normal", "body_positions", "body_orientations", "camera"],
+    compared: "contacts bodies camera",
+    ..TYPICAL
 };
 /// A soft block of 27 vertices that a servo presses.
 const JELLY: Robot = Robot {
     model: (FIXTURES, "jelly.xml"),
     input: "[joints, flex_force]",
     output: "[joints, flex_force]",
-    sample_rate_hz: 10.0,
-    actuation_seconds: 0.4,
-    compared: &["normal_force", "contact_normal", "body_positions", "camera"],
+    compared: "contacts body_positions camera",
+    ..TYPICAL
 };
 
 #[test]
