@@ -557,7 +557,7 @@ fn a_report_of_another_world_has_what_there_is() {
     let page = page_without_pictures(&results, "report.html", &["smoke"]);
     // There are no claims and figures about this world. Without an OpenGL driver, the scene says why it is missing.
     let expected =
-        ["scenes", "modalities", "metrics", "joints", "regression", "course", "images", "training", "runs"];
+        ["metrics", "joints", "regression", "course", "images", "scenes", "training", "modalities", "runs"];
     assert_eq!(sections(&page), expected);
     assert_eq!(experiments_in(&data(&page), "training", "experiment"), BTreeSet::from(["smoke".to_owned()]));
 }
@@ -633,19 +633,21 @@ const INPUTS: [(&str, &str); 3] =
 fn an_ablation_has_one_table_of_metrics_as_compare() {
     let (results, page) = &*ABLATION_PAGE;
     assert!(!between(page, "<main>", "</main>").contains("class=\"absent\""), "nothing is missing");
-    assert_eq!(page.matches("<table class=\"facts numbers\">").count(), 1);
-    let table = between(page, "<section id=\"metrics\">", "</section>");
-    let columns: Vec<&str> = between(table, "<th scope=\"col\">metric</th>", "</tr>")
-        .split("<th scope=\"col\">")
-        .skip(1)
-        .map(|column| column.strip_suffix("</th>").unwrap())
-        .collect();
+    assert_eq!(page.matches("<table class=\"facts numbers\">").count(), 2);
+    let (table, baselines) = between(page, "<section id=\"metrics\">", "</section>")
+        .split_once("<details><summary>Other baselines</summary>")
+        .unwrap();
+    let columns = |table: &'static str| -> Vec<&str> {
+        let columns = between(table, "<th scope=\"col\">metric</th>", "</tr>").split("<th scope=\"col\">");
+        columns.skip(1).map(|column| column.strip_suffix("</th>").unwrap()).collect()
+    };
     // Persistence and the training mean need no input, and ridge regression has another one for each input.
     let expected = INPUTS.map(|(_, name)| name).into_iter().chain(["persistence"]);
-    assert_eq!(columns[..4], expected.collect::<Vec<_>>());
-    let ridge: BTreeSet<&str> = columns.iter().filter_map(|name| name.strip_prefix("ridge, ")).collect();
+    assert_eq!(columns(table), expected.collect::<Vec<_>>());
+    let baselines = columns(baselines);
+    let ridge: BTreeSet<&str> = baselines.iter().filter_map(|name| name.strip_prefix("ridge, ")).collect();
     assert_eq!(ridge, INPUTS.map(|(_, name)| name).into());
-    assert_eq!(columns.last(), Some(&"training mean"));
+    assert_eq!((baselines.len(), baselines.last()), (4, Some(&"training mean")));
 
     let file = results.join("means.json");
     let metrics = ["compare", "ablation", "--metrics", "r2,rmse,mae,relative_error"];
@@ -710,7 +712,7 @@ fn a_page_shows_six_variants_and_says_how_many_there_are() {
 fn a_page_about_another_robot_has_every_part_and_no_finger() {
     let (results, page) = &*PENDULUM_PAGE;
     let expected =
-        ["scenes", "modalities", "metrics", "joints", "regression", "course", "images", "training", "runs"];
+        ["metrics", "joints", "regression", "course", "images", "scenes", "training", "modalities", "runs"];
     assert_eq!(sections(page), expected);
     let (text, script) = page.split_once("<script type").unwrap();
     let said = text.split_once("</style>").unwrap().1.to_lowercase();
@@ -835,12 +837,10 @@ fn what_is_not_predicted_is_named_without_a_command() {
     let settings = ["name=images", "output=[frame_difference]", "tasks=[prediction]", "seeds=[0]"];
     succeed(&results, &[&["run", SMOKE][..], &settings].concat());
     let page = page_without_pictures(&results, "report.html", &["images"]);
-    let reason = "The finished runs of images (scenarios: cluttered, empty; tasks: prediction; outputs: \
-                  frame_difference) have no rows for this part.";
-    for section in ["joints", "regression", "course"] {
-        let part = between(&page, &format!("<section id=\"{section}\">"), "</section>");
-        assert!(part.contains(reason), "{part}");
-    }
+    let lacking =
+        "These runs have no rows for other parts: by element, prediction over reference, over time.";
+    assert!(between(&page, "<header>", "</header>").contains(lacking));
+    assert_eq!(sections(&page), ["metrics", "images", "scenes", "figures", "training", "modalities", "runs"]);
     // The command would be `harness run images`, but there is no spec of this name.
     assert!(!page.contains("This command makes it") && !page.contains("Some runs are missing"), "{page}");
 }

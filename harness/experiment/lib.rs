@@ -52,7 +52,7 @@ use harness_spec::{Device, Experiment, Given, Layout, RunSpec, Task, Trained, Wo
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -164,6 +164,8 @@ struct Source {
     scene: Option<Box<Scene>>,
     /// The scene of the test, if it is in another world.
     test_scene: Option<Box<Scene>>,
+    /// The question of the experiment.
+    description: String,
 }
 
 impl Source {
@@ -232,6 +234,7 @@ impl Source {
             world: version(&self.dataset),
             test_world_file: path_of(self.test_scene.as_deref()),
             test_world: other.and_then(version),
+            description: self.description.clone(),
             ..by.clone()
         }
     }
@@ -290,6 +293,65 @@ impl Planned {
     }
 }
 
+/// Checks that the runs in simulated worlds can use what is recorded there. Recordings are not opened.
+///
+/// # Errors
+/// When a world can't be compiled, or a run does not suit it.
+pub fn check_in_worlds(experiment: &Experiment) -> Result<(), ExperimentError> {
+    let mut runs = experiment.runs();
+    runs.retain(|spec| experiment.world(&spec.scenario).is_some());
+    sources(Path::new(""), experiment, runs).map(drop)
+}
+
+/// Opens the data of each run, and checks that it can use them. `root` is the folder of all datasets.
+fn sources(
+    root: &Path,
+    experiment: &Experiment,
+    runs: Vec<RunSpec>,
+) -> Result<Vec<(RunSpec, Arc<Source>)>, ExperimentError> {
+    fn data(spec: &RunSpec) -> impl PartialEq {
+        (&spec.scenario, &spec.simulation, &spec.test)
+    }
+    let mut sources: Vec<(RunSpec, Arc<Source>)> = Vec::new();
+    for spec in runs {
+        let known = sources.iter().find(|(of, _)| data(of) == data(&spec));
+        let source = match known {
+            Some((_, source)) => source.clone(),
+            None => Arc::new(source(root, experiment, &spec)?),
+        };
+        source.check(&spec)?;
+        sources.push((spec, source));
+    }
+    Ok(sources)
+}
+
+/// Opens the data of a run.
+fn source(root: &Path, experiment: &Experiment, spec: &RunSpec) -> Result<Source, ExperimentError> {
+    let description = experiment.description.clone();
+    let source = match (experiment.world(&spec.scenario), &spec.scenario) {
+        (Some(world), _) => {
+            let scene = Box::new(Scene::new(world)?);
+            let other = spec.other_world().and_then(|other| experiment.world(other));
+            let test_scene = other.map(Scene::new).transpose()?.map(Box::new);
+            let of_test = test_scene.as_ref().unwrap_or(&scene);
+            let simulation = spec.simulation.clone().unwrap_or_default();
+            let test = spec.test_simulation();
+            scene.check(&simulation)?;
+            test.iter().try_for_each(|test| of_test.check(test))?;
+            let dataset = AnyDataset::Simulated(dataset_of(root, &scene, &simulation));
+            let test = test.map(|simulation| dataset_of(root, of_test, &simulation).into());
+            Source { dataset, test, scene: Some(scene), test_scene, description }
+        }
+        (None, origin) => {
+            let open = |name: &str| Imported::open(root, name).map(AnyDataset::Imported);
+            let test = spec.test.as_ref().and_then(|test| test.dataset.as_deref());
+            let (dataset, test) = (open(origin.name())?, test.map(open).transpose()?);
+            Source { dataset, test, scene: None, test_scene: None, description }
+        }
+    };
+    Ok(source)
+}
+
 impl<'a> Runner<'a> {
     /// Returns a runner that trains one run at a time, waits for other processes, and continues after a run that fails.
     pub fn new(
@@ -320,22 +382,8 @@ impl<'a> Runner<'a> {
         if let Some(repetitions) = experiment.repetitions() {
             self.progress.say(&repetitions);
         }
-        let mut sources: Vec<(RunSpec, Arc<Source>)> = Vec::new();
         let mut wanted = Vec::new();
-        for spec in experiment.runs() {
-            fn data(spec: &RunSpec) -> impl PartialEq {
-                (&spec.scenario, &spec.simulation, &spec.test)
-            }
-            let known = sources.iter().find(|(of, _)| data(of) == data(&spec));
-            let source = match known {
-                Some((_, source)) => source.clone(),
-                None => {
-                    let source = Arc::new(self.source(experiment, &spec)?);
-                    sources.push((spec.clone(), source.clone()));
-                    source
-                }
-            };
-            source.check(&spec)?;
+        for (spec, source) in sources(&self.registry.datasets(), experiment, experiment.runs())? {
             let (name, test) = (source.dataset.name(), source.test.as_ref().map(AnyDataset::name));
             let folder =
                 |spec: RunSpec| (self.registry.run_with_test(&experiment.name, &spec, name, test), spec);
@@ -365,32 +413,6 @@ impl<'a> Runner<'a> {
             Planned { spec, folder, decision, place, record, source, rungs, standing }
         });
         planned.collect()
-    }
-
-    fn source(&self, experiment: &Experiment, spec: &RunSpec) -> Result<Source, ExperimentError> {
-        let root = self.registry.datasets();
-        let source = match (experiment.world(&spec.scenario), &spec.scenario) {
-            (Some(world), _) => {
-                let scene = Box::new(Scene::new(world)?);
-                let other = spec.other_world().and_then(|other| experiment.world(other));
-                let test_scene = other.map(Scene::new).transpose()?.map(Box::new);
-                let of_test = test_scene.as_ref().unwrap_or(&scene);
-                let simulation = spec.simulation.clone().unwrap_or_default();
-                let test = spec.test_simulation();
-                scene.check(&simulation)?;
-                test.iter().try_for_each(|test| of_test.check(test))?;
-                let dataset = AnyDataset::Simulated(dataset_of(&root, &scene, &simulation));
-                let test = test.map(|simulation| dataset_of(&root, of_test, &simulation).into());
-                Source { dataset, test, scene: Some(scene), test_scene }
-            }
-            (None, origin) => {
-                let open = |name: &str| Imported::open(&root, name).map(AnyDataset::Imported);
-                let test = spec.test.as_ref().and_then(|test| test.dataset.as_deref());
-                let (dataset, test) = (open(origin.name())?, test.map(open).transpose()?);
-                Source { dataset, test, scene: None, test_scene: None }
-            }
-        };
-        Ok(source)
     }
 
     /// Returns where a run's frames are stored.

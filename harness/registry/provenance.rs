@@ -62,6 +62,9 @@ pub struct Provenance {
     /// The version of the world of the run's test, if it is another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub test_world: Option<WorldVersion>,
+    /// The question of the experiment, as its spec says. Empty in records of earlier versions.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub description: String,
     /// The command, quoted for a shell. A run's record has the command that makes only this run.
     pub command: String,
 }
@@ -90,6 +93,7 @@ impl Provenance {
             world: None,
             test_world_file: None,
             test_world: None,
+            description: String::new(),
             command,
         }
     }

@@ -93,6 +93,8 @@ pub enum ReportError {
 struct Absent {
     reason: String,
     command: Option<String>,
+    /// Whether the runs of an asked experiment do not have the part.
+    lacks_rows: bool,
 }
 
 /// A part of the page, or the reason why it is missing.
@@ -110,6 +112,7 @@ enum Part<T> {
 /// # Errors
 /// When the part failed for any other reason.
 fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, FigureError> {
+    let lacks_rows = !asked.experiments.is_empty() && matches!(outcome, Err(FigureError::NoRows { .. }));
     let (reason, command) = match outcome {
         Ok(part) => return Ok(Part::There(part)),
         Err(FigureError::NoRuns { experiment, command, .. }) => {
@@ -121,7 +124,7 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
         }
         Err(FigureError::NoRows { experiment, there, command, .. }) => {
             let reason = format!("The finished runs of {experiment} ({there}) have no rows for this part.");
-            (reason, command.filter(|_| asked.experiments.is_empty()))
+            (reason, command.filter(|_| !lacks_rows))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
         Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
@@ -129,7 +132,7 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
         }
         Err(error) => return Err(error),
     };
-    Ok(Part::Absent(Absent { reason, command }))
+    Ok(Part::Absent(Absent { reason, command, lacks_rows }))
 }
 
 /// Makes a message a sentence: with a capital letter and a full stop.
@@ -449,7 +452,7 @@ fn clips(
             // The world's files may be gone, or have changed since the runs.
             Err(error) => {
                 let reason = format!("The world {} could not be filmed: {error}.", shot.scenario);
-                absent.insert(Absent { reason, command: None });
+                absent.insert(Absent { reason, command: None, lacks_rows: false });
             }
         }
     }

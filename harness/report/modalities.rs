@@ -6,6 +6,9 @@ use harness_spec::{Definition, Layout, Modality};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
+/// The largest number of elements of which each is named.
+const MOST_NAMES: usize = 8;
+
 /// What worlds sense, and which of it the networks get and predict.
 #[derive(Serialize)]
 pub struct World {
@@ -78,14 +81,18 @@ impl Row {
     }
 }
 
-/// The elements of a vector, by unit: `slide in m; swing, elbow in rad`.
+/// The elements of a vector, by unit: `slide in m; swing, elbow in rad`. Of many, the first two and the last one.
 fn elements(definition: &Definition) -> String {
     let by_unit = definition.by_unit().into_iter().map(|(unit, elements)| {
         let names: Vec<&str> =
             elements.iter().map(|element| definition.elements()[*element].name.as_str()).collect();
+        let names = match names[..] {
+            [first, second, .., last] if names.len() > MOST_NAMES => format!("{first}, {second} … {last}"),
+            _ => names.join(", "),
+        };
         match unit {
-            "" => names.join(", "),
-            unit => format!("{} in {unit}", names.join(", ")),
+            "" | "1" => names,
+            unit => format!("{names} in {unit}"),
         }
     });
     by_unit.collect::<Vec<_>>().join("; ")

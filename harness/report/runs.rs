@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 #[derive(Serialize)]
 pub struct Experiment {
     name: String,
+    /// The question of the experiment: that of the spec of its first run or, in records of earlier versions, of the
+    /// built-in experiment of this name.
+    description: Option<String>,
     /// The number of runs that are done.
     pub done: usize,
     /// All runs, sorted by scenario, settings that vary, latent size and seed.
@@ -56,7 +59,9 @@ impl Experiment {
             )
         });
         let done = records.iter().filter(|record| record.status == Status::Done).count();
-        Self { name, done, runs: records.iter().map(Run::new).collect() }
+        let own = records.iter().map(|record| &record.provenance.description).find(|text| !text.is_empty());
+        let description = own.cloned().or_else(|| harness_spec::description(&name));
+        Self { name, description, done, runs: records.iter().map(Run::new).collect() }
     }
 }
 

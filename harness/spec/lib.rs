@@ -98,6 +98,12 @@ pub fn parse_spec(
     parse_in(&file_of(path, text), overrides, quick, Purpose::Training)
 }
 
+/// The question of the built-in experiment of this name, as its spec says; `None` if there is no such experiment.
+pub fn description(name: &str) -> Option<String> {
+    let spec = SPECS.iter().find(|spec| spec.name == name)?;
+    Some(parse_spec(&spec.label(), spec.text, &[], false).ok()?.description)
+}
+
 /// Resolves a spec like [`load_task`], but from its text, as [`parse_spec`] does.
 pub fn parse_task(path: &str, text: &str) -> Result<Experiment, SpecError> {
     parse_in(&file_of(path, text), &[], false, Purpose::Task)
