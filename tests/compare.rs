@@ -5,6 +5,7 @@ use crate::report::PENDULUM;
 use crate::terminal::{plain, raw, too_wide};
 use harness::metrics::rounded;
 use harness::numbers::by_value;
+use harness::registry::Registry;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -755,7 +756,7 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     let unknown = refused(&["compare", "smoke", "--by", "latent", "--against", "latent 3"]);
     assert_eq!(
         unknown,
-        "error: there is no column 'latent 3'; the columns are latent 2, latent 4, persistence, ridge, training mean\n"
+        "error: there is no column 'latent 3'; the columns are 'latent 2', 'latent 4', 'persistence', 'ridge', 'training mean'\n"
     );
     // A baseline has no seed, so each network is compared with it on the same dataset.
     let sql = "select avg(n.value - p.value) as gain, count(*) as runs from metrics n join metrics p on n.run = p.run \
@@ -782,7 +783,85 @@ fn differences_from_a_column_pair_equal_datasets_and_seeds() {
     let mean: f64 = row[place("mean")].parse().unwrap();
     assert!((mean - gains.iter().sum::<f64>() / 3.0).abs() < 1e-9, "{mean}, {gains:?}");
     let scenarios = refused(&["compare", "--by", "scenario", "--against", "empty"]);
-    assert!(scenarios.contains("each scenario has its own; leave scenario out of --by"), "{scenarios}");
+    assert!(
+        scenarios.contains("choose one with --where scenario=NAME, and leave scenario out"),
+        "{scenarios}"
+    );
+}
+
+const REFERENCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/results/reference");
+
+/// The values of a column of an answer in JSON, by those of another column.
+fn column(answer: &str, of: &str, by: &str) -> BTreeMap<String, Value> {
+    let rows: Vec<Value> = serde_json::from_str(answer).unwrap();
+    rows.into_iter().map(|row| (row[by].to_string(), row[of].clone())).collect()
+}
+
+#[test]
+fn whether_a_difference_is_significant_does_not_depend_on_what_its_interval_contains() {
+    let of = ["compare", "shift", "--metrics", "r2", "--of", "contact_force", "--where", "senses=touch"];
+    let against = ["--models", "network", "--against", "none", "--format", "json"];
+    let p = |interval: &str| {
+        let asked = [&of[..], &against, &["--interval", interval]].concat();
+        column(&succeed(Path::new(REFERENCE), &asked), "p", "variant")
+    };
+    let of_mean = p("mean");
+    assert_eq!((of_mean.len(), of_mean.values().filter(|p| p.is_number()).count()), (4, 3));
+    assert_eq!(of_mean, p("next-dataset"));
+}
+
+#[test]
+fn a_plot_of_differences_shows_them_alone_and_says_so() {
+    let results = fresh("compare_plot");
+    let file = |name: &str| results.join(name).display().to_string();
+    let asked =
+        ["--x", "senses", "--where", "scenario=cluttered", "--metrics", "r2", "--of", "contact_force"];
+    for name in ["differences.svg", "differences.csv"] {
+        let output = ["--against", "finger", "--output", &file(name)];
+        succeed(Path::new(REFERENCE), &[&["plot", "which_sense"], &asked[..], &output].concat());
+    }
+    let drawn = std::fs::read_to_string(file("differences.svg")).unwrap();
+    assert!(drawn.contains("<title>contact force, difference of R2 over senses</title>"));
+    let data = std::fs::read_to_string(file("differences.csv")).unwrap();
+    let mut rows = data.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let place = rows.next().unwrap().iter().position(|name| *name == "difference_from").unwrap();
+    assert_eq!(rows.map(|row| row[place]).collect::<Vec<_>>(), ["finger"; 5], "{data}");
+}
+
+#[test]
+fn inputs_are_named_in_any_order_and_with_their_skill_horizons() {
+    let asked = |more: &[&str]| {
+        let of =
+            ["compare", "missing", "--of", "contact_force", "--task", "prediction", "--models", "network"];
+        let of_product = ["--where", "senses=product", "--format", "json"];
+        succeed(Path::new(REFERENCE), &[&of[..], &of_product, more].concat())
+    };
+    let given = |names: &str| asked(&["--metrics", "r2", "--given", names]);
+    assert_eq!(given("proprioception+arm"), given("arm, proprioception"));
+    let by_given = |metric: &str| column(&asked(&["--metrics", metric, "--by", "given"]), "mean", "given");
+    let keys = |found: &BTreeMap<String, Value>| found.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(keys(&by_given("skill_horizon")), keys(&by_given("skill")));
+}
+
+#[test]
+fn two_runs_are_compared_at_their_horizon() {
+    let registry = Registry::new(REFERENCE);
+    let runs = registry.records().into_iter().filter(|run| {
+        run.experiment == "hidden_stiffness"
+            && run.run.contains("senses=touch,")
+            && run.run.contains("-seed0-")
+    });
+    let runs: Vec<String> = runs.filter(|run| !run.run.contains("-data")).map(|run| run.name()).collect();
+    assert_eq!(runs.len(), 2);
+    let said = succeed(Path::new(REFERENCE), &["diff", &runs[0], &runs[1]]);
+    assert!(said.contains("predictions 20 samples ahead"), "{said}");
+    let sql = format!(
+        "select value from all_metrics where experiment || '/' || run = '{}' and model = 'network' and metric = 'r2' \
+         and modality = 'contact_force' and horizon = 20 and given is null and index is null and direction is null",
+        runs[0]
+    );
+    let value = ask(Path::new(REFERENCE), &sql)[0]["value"].as_f64().unwrap();
+    assert!(said.contains(&harness::metrics::rounded(value, "1")), "{value}: {said}");
 }
 
 /// Copies the published runs of two labels of `which_sense`. Those with the arm lack one dataset of the empty scenario.

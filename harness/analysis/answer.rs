@@ -85,12 +85,11 @@ impl Answer {
             all.push(BY_UNIT.to_owned());
         }
         if let Some(base) = &self.against {
-            let pairs = if base.baseline.is_some() {
-                "on the same dataset"
-            } else {
-                "with the same dataset and seed"
-            };
-            all.push(format!("the other columns have the differences from {}, of runs {pairs}", base.name()));
+            all.push(format!(
+                "the other columns have the differences from {}, {}",
+                base.name(),
+                self.pairs(base)
+            ));
         }
         all.extend(self.ahead());
         if self.cells.iter().any(|cell| cell.of.metric == Metric::SkillHorizon.name()) {
@@ -104,12 +103,33 @@ impl Answer {
         all
     }
 
+    /// Says which runs are compared.
+    fn pairs(&self, base: &Side) -> &'static str {
+        let is_across_data = self.cells.iter().any(|cell| cell.is_across_data);
+        match (base.baseline.is_some(), is_across_data) {
+            (true, false) => "of runs on the same dataset",
+            (false, false) => "of runs with the same dataset and seed",
+            (true, true) => "of runs on datasets with the same seed, which differ otherwise",
+            (false, true) => "of runs with the same seeds, on datasets that differ otherwise",
+        }
+    }
+
+    /// Says what the values are if they are differences from a column.
+    pub fn differences(&self) -> Option<String> {
+        let base = self.against.as_ref()?;
+        Some(format!("differences from {}, {}", base.name(), self.pairs(base)))
+    }
+
     /// Says what the intervals of networks are; `None` if all cells are of baselines.
     fn replicates(&self) -> Option<String> {
         let networks = || self.cells.iter().filter(|cell| !cell.of.is_baseline());
         let over = networks().next()?.over;
+        let has_bounds = networks().any(|cell| cell.interval.bounds.is_some());
         Some(match replicates_of(networks()) {
-            Some(replicates) => format!("mean ± half of the {}", over.described(&replicates)),
+            Some(replicates) if has_bounds => format!("mean ± half of the {}", over.described(&replicates)),
+            Some(replicates) => {
+                format!("means over {replicates} without intervals, which need several datasets")
+            }
             None => "one seed, so without intervals".to_owned(),
         })
     }
@@ -124,14 +144,7 @@ impl Answer {
             return Err(AnalysisError::UnknownColumn { wanted: base.to_owned(), columns });
         };
         let side = (*side).clone();
-        let has_pair = |other: &Side| {
-            table.values.keys().any(|(subject, own)| own == other && table.mean(subject, &side).is_some())
-        };
-        let lone: Vec<String> = sides
-            .iter()
-            .filter(|other| other.baseline.is_none() && !has_pair(other))
-            .map(|other| other.name())
-            .collect();
+        let mut lone: Vec<&Side> = sides.into_iter().filter(|other| other.baseline.is_none()).collect();
         // A baseline stands in the rows of the networks of every size.
         let mut cells: BTreeMap<Of, Mean> = BTreeMap::new();
         for ((subject, own), mean) in &table.values {
@@ -144,15 +157,20 @@ impl Answer {
                 true => Some((*mean).clone()),
                 false => mean.difference_from(of_base, base),
             };
+            lone.retain(|other| cell.is_none() || *other != own);
             cells.extend(cell.map(|cell| (cell.of.clone(), cell)));
         }
+        let lone: Vec<String> = lone.into_iter().map(Side::name).collect();
         let mut cells: Vec<Mean> = cells.into_values().collect();
         let p_values: Vec<f64> = cells.iter().filter_map(|cell| cell.p).collect();
         for (cell, p) in cells.iter_mut().filter(|cell| cell.p.is_some()).zip(holm(&p_values)) {
             cell.p = Some(p);
         }
         if !lone.is_empty() {
-            self.notes.push(format!("left out, because {base} has no rows beside them: {}", lone.join(", ")));
+            self.notes.push(format!(
+                "left out, because {base} has no runs with the same seeds beside them: {}",
+                lone.join(", ")
+            ));
         }
         (self.cells, self.against) = (cells, Some(side));
         Ok(())

@@ -37,7 +37,7 @@ pub use key::Key;
 pub use labels::{Label, Labels};
 pub use means::{Mean, Of, replicates_of};
 use means::{note_about_shared_test, predicted};
-pub use question::{Horizon, Question};
+pub use question::{Horizon, Question, name_of_given};
 pub use settings::{Difference, Setting, all_settings, differing, has_settings, varied_settings};
 pub use subset::Subset;
 pub use undefined::Undefined;
@@ -170,7 +170,7 @@ pub enum AnalysisError {
     /// No model got only these inputs.
     #[error(
         "no model got only {wanted} of its run's inputs; {}",
-        if known.is_empty() { "all got all inputs".into() } else { format!("some got only {}", known.join(", ")) }
+        if known.is_empty() { "all got all inputs".into() } else { format!("some got only {}", with_plus(known).join(", ")) }
     )]
     UnknownGiven {
         /// The requested inputs, with commas between them.
@@ -202,7 +202,7 @@ pub enum AnalysisError {
         known: BTreeSet<String>,
     },
     /// No column has the heading from which the others are to be differences.
-    #[error("there is no column '{wanted}'; the columns are {}", columns.join(", "))]
+    #[error("there is no column '{wanted}'; the columns are '{}'", columns.join("', '"))]
     UnknownColumn {
         /// The heading.
         wanted: String,
@@ -211,7 +211,8 @@ pub enum AnalysisError {
     },
     /// Columns of different scenarios can't be subtracted.
     #[error(
-        "--against compares runs on the same data, and each scenario has its own; leave scenario out of --by"
+        "--against compares runs on the same data, and each scenario has its own; choose one with --where \
+         scenario=NAME, and leave scenario out"
     )]
     Scenarios,
     /// A key tells the rows of a table apart and can't tell its columns apart.
@@ -369,6 +370,11 @@ impl Expected {
     }
 }
 
+/// The names of sets of inputs as the command line takes them, with plus signs.
+fn with_plus(given: &[String]) -> Vec<String> {
+    given.iter().map(|names| names.replace(',', "+")).collect()
+}
+
 impl Analysis {
     /// Finds the runs of a selection that count.
     ///
@@ -522,10 +528,14 @@ impl Analysis {
         })
     }
 
-    /// Whether there are runs that count, and all of them are published copies.
+    /// Whether there are runs, and all of them are published copies. If none counts, those that do not count decide.
     pub fn is_published(&self) -> bool {
         let mut runs = self.experiments.values().flat_map(|experiment| &experiment.runs).peekable();
-        runs.peek().is_some() && runs.all(|run| run.record.published)
+        if runs.peek().is_some() {
+            return runs.all(|run| run.record.published);
+        }
+        let records = self.registry.records();
+        !records.is_empty() && records.iter().all(|record| record.published)
     }
 
     /// The names of the experiments that have runs which count, in alphabetical order.

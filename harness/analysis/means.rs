@@ -27,6 +27,10 @@ pub struct Mean {
     pub seeds: Vec<(u64, u64)>,
     /// Number of datasets that the values are of.
     pub datasets: usize,
+    /// The names of the datasets that each value's run was trained on. Empty for differences.
+    trained_on: Vec<String>,
+    /// Of differences, whether runs of a pair were trained on different datasets, which only have the same seed.
+    pub is_across_data: bool,
     /// Their mean, with an interval.
     pub interval: Interval,
     /// What the interval is to contain.
@@ -124,7 +128,8 @@ impl Mean {
             replicates.iter().map(|replicate| replicate.jackknife.clone()).collect();
         let test = is_shared.then(|| jackknives.unwrap_or_default());
         let test_to_training = replicates.first().and_then(|replicate| replicate.test_to_training);
-        Some(Self { test_to_training, ..Self::of_values(of, unit, values, seeds, test, over)? })
+        let trained_on = replicates.into_iter().map(|replicate| replicate.dataset).collect();
+        Some(Self { test_to_training, trained_on, ..Self::of_values(of, unit, values, seeds, test, over)? })
     }
 
     /// The mean of values with the seeds of their dataset and training; `None` without values.
@@ -138,9 +143,21 @@ impl Mean {
     ) -> Option<Self> {
         let datasets = seeds.iter().map(|(dataset, _)| dataset).collect::<BTreeSet<_>>().len();
         let interval = Interval { mean: 0.0, bounds: None };
-        let (against, p, test_to_training) = (None, None, None);
-        let mean =
-            Self { of, unit, values, seeds, datasets, interval, over, against, p, test_to_training, test };
+        let mean = Self {
+            of,
+            unit,
+            values,
+            seeds,
+            datasets,
+            trained_on: Vec::new(),
+            is_across_data: false,
+            interval,
+            over,
+            against: None,
+            p: None,
+            test_to_training: None,
+            test,
+        };
         Some(mean.with_interval())
     }
 
@@ -163,15 +180,14 @@ impl Mean {
         Some(ratio.map_or(estimate, |ratio| estimate.of_folds(ratio)))
     }
 
-    /// How the mean depends on the test episodes, if its interval is also over these.
+    /// How the mean depends on the test episodes, if this is known.
     fn jackknife(&self) -> Option<Jackknife> {
-        let test = self.test.as_ref().filter(|_| self.over == Over::Mean)?;
-        Jackknife::mean(test, &self.dataset_seeds())
+        Jackknife::mean(self.test.as_ref()?, &self.dataset_seeds())
     }
 
     /// The number of test episodes that the interval is over, besides datasets.
     fn episodes(&self) -> Option<usize> {
-        self.jackknife().map(|jackknife| jackknife.episodes())
+        self.jackknife().filter(|_| self.over == Over::Mean).map(|jackknife| jackknife.episodes())
     }
 
     /// The interval of an estimate of this mean. One dataset says nothing about the next, so there are no bounds then.
@@ -197,13 +213,15 @@ impl Mean {
         let pairs: Vec<(usize, usize)> = pairs.collect();
         let values = pairs.iter().map(|(own, other)| self.values[*own] - base.values[*other]).collect();
         let seeds = pairs.iter().map(|(own, _)| self.seeds[*own]).collect();
+        let is_across_data =
+            pairs.iter().any(|(own, other)| self.trained_on.get(*own) != base.trained_on.get(*other));
         let test = self.test.as_ref().zip(base.test.as_ref()).map(|(own, of_base)| {
             let minus = |(one, other): &(usize, usize)| own.get(*one)?.minus(of_base.get(*other)?);
             pairs.iter().map(minus).collect::<Option<Vec<_>>>().unwrap_or_default()
         });
         let mean = Self::of_values(self.of.clone(), self.unit.clone(), values, seeds, test, self.over)?;
         let (against, test_to_training) = (Some(heading.to_owned()), self.test_to_training);
-        let mean = Self { against, test_to_training, ..mean }.with_interval();
+        let mean = Self { against, test_to_training, is_across_data, ..mean }.with_interval();
         let estimate = mean.estimate()?;
         let p = match mean.jackknife() {
             None => estimate.p_value(0.0),
@@ -318,6 +336,8 @@ struct Replicate {
     /// The seeds of the run's dataset and its training.
     seeds: (u64, u64),
     value: f64,
+    /// The dataset that the run was trained on.
+    dataset: String,
     /// The dataset of the test; `None` if it is the run's own.
     test: Option<String>,
     /// The number of test samples for each training sample, if the run is of a fold.
@@ -391,10 +411,9 @@ impl Analysis {
             .map(|(place, run)| {
                 let (own, seeds) = (group(run), (run.record.spec.dataset_seed(), run.record.spec.seed));
                 let of_baselines = number(Of { latent: None, ..own.clone() });
-                let test = (run.record.test_dataset.as_ref(), run.record.spec.split.test_to_training());
                 (
                     (&*run.record.experiment, &*run.record.run),
-                    (place, [of_baselines, number(own)], seeds, test),
+                    (place, [of_baselines, number(own)], seeds, &run.record),
                 )
             })
             .collect();
@@ -402,7 +421,7 @@ impl Analysis {
         let mut repeated = HashSet::new();
         for row in all {
             let Some(value) = row.value else { continue };
-            let Some(&(place, groups, seeds, test)) = places.get(&(row.experiment, row.run)) else {
+            let Some(&(place, groups, seeds, record)) = places.get(&(row.experiment, row.run)) else {
                 continue;
             };
             let is_network = !is_baseline(row.model);
@@ -414,8 +433,14 @@ impl Analysis {
                 continue;
             }
             let jackknife = jackknives.of(row).cloned();
-            let (test, test_to_training) = (test.0.cloned(), test.1);
-            let replicate = Replicate { seeds, value, test, test_to_training, jackknife };
+            let replicate = Replicate {
+                seeds,
+                value,
+                dataset: record.dataset.clone(),
+                test: record.test_dataset.clone(),
+                test_to_training: record.spec.split.test_to_training(),
+                jackknife,
+            };
             by_row.entry(key).or_default().insert(place, (replicate, row.unit));
         }
         let groups: BTreeMap<usize, Of> = groups.into_iter().map(|(of, number)| (number, of)).collect();

@@ -111,6 +111,13 @@ pub struct Question {
     pub over: Over,
 }
 
+/// The name of a set of inputs in [`Question::given`] and in tables: in alphabetical order, with commas between them.
+/// `text` may have them in any order, with commas or plus signs.
+pub fn name_of_given(text: &str) -> String {
+    let names: BTreeSet<&str> = text.split(['+', ',']).map(str::trim).collect();
+    Vec::from_iter(names).join(",")
+}
+
 impl Question {
     /// Answers the question about the runs of a results folder.
     ///
@@ -182,7 +189,9 @@ impl Question {
     fn with_all_horizons(&self) -> Self {
         Self {
             metrics: vec![Metric::Rmse.name().to_owned()],
-            by: vec![Key::Horizon],
+            by: std::iter::once(Key::Horizon)
+                .chain(self.by.iter().copied().filter(|key| *key == Key::Given))
+                .collect(),
             horizons: Vec::new(),
             ..self.clone()
         }

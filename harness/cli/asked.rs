@@ -4,7 +4,7 @@ use super::{DIVIDED, item};
 use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, Args, Command};
-use harness::analysis::{Horizon, Key, Over, Question, Setting};
+use harness::analysis::{Horizon, Key, Over, Question, Setting, name_of_given};
 use harness::spec::Task;
 use std::ffi::OsStr;
 
@@ -90,7 +90,7 @@ impl Asked {
             metrics: self.metrics,
             models: self.models,
             horizons: self.horizon,
-            given: self.given.map(|given| given.replace('+', ",")),
+            given: self.given.as_deref().map(name_of_given),
             by: self.by,
             against: self.against,
             over: self.interval,

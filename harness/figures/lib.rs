@@ -123,10 +123,13 @@ pub enum FigureError {
         /// The number of panels.
         panels: usize,
     },
+    /// No column has runs with the same seeds as the one with this heading.
+    #[error("no other column has runs with the same seeds as {0}, so there are no differences to draw")]
+    NoDifferences(String),
     /// An experiment has finished runs, but a query over them gives no rows.
     #[error(
-        "the finished runs of {experiment} in {} ({there}) have no rows for the figure: a scenario, a task or an output \
-         is missing{}",
+        "the finished runs of {experiment} in {} ({there}) have no rows for the figure: a scenario, a task, an output or, \
+         in published runs, a table is missing{}",
         root.display(),
         command.as_ref().map_or_else(String::new, |command| {
             format!("; `{command}` makes runs that have more")

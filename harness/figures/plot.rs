@@ -5,7 +5,7 @@ use super::axes::{Line, Look, Panel, Scale, legend, remarks};
 use super::page::{BLACK, BLUE, COLUMN, GRAY, GREEN, Mark, PALE, Page, Stroke, Type, VERMILION, WINE};
 use super::{Drawing, FigureError};
 use harness_analysis::models::{NETWORK, PERSISTENCE, is_baseline};
-use harness_analysis::{Answer, Interval, Key, Label, Labels, Mean, Of, Question, replicates_of};
+use harness_analysis::{Answer, Interval, Key, Label, Labels, Mean, Of, Over, Question, replicates_of};
 use harness_metrics::{Metric, label};
 use harness_registry::Registry;
 use harness_shared::numbers::rounded;
@@ -115,7 +115,14 @@ impl Plot {
         if answer.metrics.len() > 1 && !self.question.by.contains(&Key::Metric) {
             return Err(FigureError::SeveralMetrics(answer.metrics.clone()));
         }
-        self.draw_means(&answer.cells, &answer.labels, answer.ahead())
+        let about = answer.differences().into_iter().chain(answer.ahead()).collect();
+        // Among differences, the values of the column from which they are have no place.
+        let is_shown = |cell: &&Mean| answer.against.is_none() || cell.against.is_some();
+        let cells: Vec<Mean> = answer.cells.iter().filter(is_shown).cloned().collect();
+        match (cells.is_empty(), answer.against.as_ref()) {
+            (true, Some(base)) => Err(FigureError::NoDifferences(base.name())),
+            _ => self.draw_means(&cells, &answer.labels, about),
+        }
     }
 
     /// The metric along the vertical axis. It is empty if the plot tells metrics apart.
@@ -136,6 +143,8 @@ impl Plot {
             "" => unit.to_owned(),
             metric => label(metric, unit),
         };
+        let is_difference = means.iter().any(|mean| mean.against.is_some());
+        let label = if is_difference { format!("difference of {label}") } else { label };
         let modalities: BTreeSet<String> = means.iter().map(|mean| mean.of.predicted()).collect();
         match modalities.first() {
             Some(modality) if modalities.len() == 1 => format!("{}, {label}", modality.replace('_', " ")),
@@ -223,7 +232,7 @@ impl Plot {
         &self,
         means: &[Mean],
         labels: &Labels,
-        horizon: Option<String>,
+        about: Vec<String>,
     ) -> Result<Drawing, FigureError> {
         self.check(means, labels)?;
         let label = self.label(means);
@@ -238,7 +247,7 @@ impl Plot {
         let [low, high] = range(means);
         let axis = |ends: [f64; 2]| Scale::linear(low, high, 5, ends);
         let notes = notes(means, &self.beyond(&all, &panels, &slots, &axis([0.0, 1.0])), &axis([0.0, 1.0]));
-        let notes: Vec<String> = horizon.into_iter().chain(notes).collect();
+        let notes: Vec<String> = about.into_iter().chain(notes).collect();
 
         let columns = panels.len().min(2);
         let left = 36.0;
@@ -610,9 +619,13 @@ pub(super) fn notes(means: &[Mean], beyond: &[String], scale: &Scale) -> Vec<Str
         .iter()
         .any(|mean| scale.cuts(&mean.interval) && scale.clamp(mean.interval.mean) == mean.interval.mean);
     let cut = if is_cut { "; without a cap, they go on beyond the axis" } else { "" };
-    let bars = match replicates_of(if networks.is_empty() { means.iter().collect() } else { networks }) {
-        Some(over) => format!("bars: 95 % intervals over {over}{cut}"),
-        None => "one seed, no bars".into(),
+    let judged = if networks.is_empty() { means.iter().collect() } else { networks };
+    let over = judged.iter().find(|mean| mean.interval.bounds.is_some()).map(|mean| mean.over);
+    let bars = match (replicates_of(judged), over) {
+        (Some(replicates), Some(Over::Mean)) => format!("bars: 95 % intervals over {replicates}{cut}"),
+        (Some(replicates), Some(over)) => format!("bars: {}{cut}", over.described(&replicates)),
+        (Some(replicates), None) => format!("means over {replicates}, no bars"),
+        (None, _) => "one seed, no bars".into(),
     };
     let mut named: Vec<String> = beyond.iter().take(MOST_NAMED).cloned().collect();
     if beyond.len() > MOST_NAMED {

@@ -3,7 +3,7 @@
 use crate::errors::Raise;
 use crate::run::{Listener, Table, existing, settings_of, warn, writable};
 use crate::work::interruptible;
-use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question};
+use harness::analysis::{Analysis, AnalysisError, Horizon, Key, Over, Question, name_of_given};
 use harness::claims::{ClaimsError, ClaimsFile, Judgment, Readings};
 use harness::collection::{collect as collect_episodes, dataset_of};
 use harness::dataset::AnyDataset;
@@ -209,7 +209,7 @@ impl Asked {
             metrics: self.metrics,
             models: self.models,
             horizons: self.horizon.iter().map(horizon).collect::<PyResult<_>>()?,
-            given: self.given,
+            given: self.given.as_deref().map(name_of_given),
             by: self.by.iter().map(|name| key(name)).collect::<PyResult<_>>()?,
             against: self.against,
             over: one_named("interval", &self.interval, &Over::ALL, Over::name)?,
