@@ -1,6 +1,7 @@
 //! `harness diff`.
 
 use super::DONE;
+use super::results::{ahead, common_horizon, rows_at};
 use super::sheet::{MISSING, Sheet, Style};
 use super::table::{print_text, print_texts, width};
 use anyhow::Result;
@@ -173,6 +174,8 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         format!("max(case when {own} then value end)")
     };
     let names = [a.name(), b.name()];
+    let horizon = common_horizon([a, b].into_iter());
+    let (table, at_horizon) = rows_at(horizon);
     // What predicts is compared also if the runs call it differently.
     let own = if a.predictor() == b.predictor() { a.predictor() } else { "network or model" };
     let model = format!("case when model in ({others}) then model else '{own}' end as model");
@@ -181,8 +184,8 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         |record| names.contains(&record.name()),
         &format!(
             "select task, model, modality, direction, metric, unit, {} as a, {} as b from \
-             (select experiment, run, task, {model}, modality, direction, metric, unit, value from metrics \
-             where {chosen}) as rows \
+             (select experiment, run, task, {model}, modality, direction, metric, unit, value from {table} \
+             where {chosen} {at_horizon}) as rows \
              group by task, model, modality, direction, metric, unit \
              order by task, model, modality, direction, metric",
             of(a),
@@ -209,7 +212,8 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
         parts.partition(|rows| rows.iter().all(|row| row.a == row.b));
     let same = same.iter().map(|rows| format!("{} of {}", rows[0].task, words(&rows[0].model)));
     let same = same.collect::<Vec<_>>().join(", ");
-    let notes = if same.is_empty() { Vec::new() } else { vec![format!("the same in both: {same}")] };
+    let same = (!same.is_empty()).then(|| format!("the same in both: {same}"));
+    let notes = std::iter::once(ahead(horizon)).chain(same).collect();
     let header = ["a", "b", "b - a"].map(str::to_owned).to_vec();
     Ok(Sheet {
         titles: 2,

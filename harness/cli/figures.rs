@@ -19,7 +19,7 @@ pub struct Figures {
     /// The figures to draw [default: all]
     #[arg(value_name = "NAME", value_parser = figure())]
     names: Vec<Figure>,
-    /// The folder for the files NAME.svg, NAME.png and NAME.csv
+    /// The folder for the files NAME.svg, NAME.png, NAME.pdf and NAME.csv
     #[arg(long, short, alias = "out", value_name = "DIR", default_value = "figures")]
     output: PathBuf,
     /// The kinds of files to write, separated by commas [default: all]

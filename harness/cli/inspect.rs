@@ -106,7 +106,6 @@ impl List {
         match (form, width()) {
             (Form::Data(data), _) => return data.write(&mut runs, "run"),
             (Form::Page(Style::Text), Some(limit)) => print_listed(runs, limit)?,
-            (Form::Page(Style::Text), None) => print(&runs),
             (Form::Page(style), _) => print_page(Grid::of_table(&runs, usize::MAX), style),
         }
         Ok(ExitCode::from(DONE))

@@ -190,7 +190,7 @@ not hold or is undecided. Intervals are over datasets or, with one dataset, over
   harness compare smoke
   harness compare --by experiment,latent --task prediction --models network
   harness compare --by scenario --metrics r2,rmse
-  harness compare memory --horizon 1,10 --of contact_force --metrics r2
+  harness compare history --horizon 1,10 --of contact_force --metrics r2
   harness compare smoke --format latex > table.tex
   harness compare smoke --format csv              the means, one in each row
 
@@ -354,7 +354,7 @@ const FIGURES_HELP: &str = "Examples:
   harness figures horizon --experiment history --of contact_force
 
 The figures show the runs of single_to_multi and multi_to_multi. If runs are missing, a message names the command that \
-creates them. The figure horizon shows the runs of memory. Runs of one experiment that differ in settings can't be \
+creates them. The figure horizon shows the runs of hidden_stiffness. Runs of one experiment that differ in settings can't be \
 drawn together: select some of them with --where. With --experiment, the figures show one experiment in any world, and \
 a message says why the others do not apply. Figures are 8.5 cm wide, a journal's column. Letters are outlines, so no \
 font is needed to show them.";
@@ -375,7 +375,7 @@ and its locks must work across nodes.";
 const JUDGE_HELP: &str = "Examples:
   harness judge smoke predictions.parquet --cell empty --model my_gru --seed 0
   harness judge smoke predictions.csv --cell empty --model my_gru --seed 1 --note commit=ab12cd3
-  harness judge memory simulator --cell empty-role=angles,memory=none
+  harness judge history simulator --cell cluttered-senses=touch
 
 The predictions become a run of the experiment, beside the networks that `harness run` trains: `harness compare`, \
 `query`, `plot` and `report` show it. Its metrics are computed by the program, on the same test windows and with the \
@@ -661,6 +661,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
                     | FigureError::Ambiguous { .. }
                     | FigureError::TooMany { .. }
                     | FigureError::SeveralMetrics(_)
+                    | FigureError::NoDifferences(_)
             )
         )
         || error.is::<import::ImportError>()

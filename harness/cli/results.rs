@@ -71,17 +71,8 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
         Metrics::All => "index is null".to_owned(),
     };
     let records = registry.records();
-    let wanted = records.iter().filter(|record| is_wanted(record)).map(|record| record.spec.window.horizon);
-    let horizons: BTreeSet<usize> = wanted.collect();
-    // Runs with several horizons have the next sample in common.
-    let horizon = horizons.first().copied().filter(|_| horizons.len() == 1).unwrap_or(1);
-    let (table, own) = match horizon {
-        1 => ("metrics", String::new()),
-        _ => (
-            "all_metrics",
-            format!("and given is null and (horizon in (0, {horizon}) or modality = 'latent')"),
-        ),
-    };
+    let horizon = common_horizon(records.iter().filter(|record| is_wanted(record)));
+    let (table, own) = rows_at(horizon);
     let cell = "task, scenario, variant, latent, modality, direction, metric, unit";
     let sql = format!(
         "select {cell}, count(distinct run) as runs, {} from {table} where {chosen} {own} group by {cell} \
@@ -134,13 +125,34 @@ pub fn sheet(registry: &Registry, metrics: Metrics, is_wanted: impl Fn(&RunRecor
     let most = rows.iter().map(|row| row.runs).max().filter(|runs| *runs > 1);
     let means =
         most.map(|runs| format!("means over up to {runs} runs, which differ in their seeds or folds"));
-    let ahead = match horizon {
+    let notes = means.into_iter().chain(by_unit).chain([ahead(horizon)]).chain(undefined(&rows)).collect();
+    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
+}
+
+/// The horizon that runs predict at. Runs with several horizons have the next sample in common.
+pub fn common_horizon<'a>(runs: impl Iterator<Item = &'a RunRecord>) -> usize {
+    let horizons: BTreeSet<usize> = runs.map(|run| run.spec.window.horizon).collect();
+    horizons.first().copied().filter(|_| horizons.len() == 1).unwrap_or(1)
+}
+
+/// The table with the metrics of predictions at a horizon from all inputs, and a condition, if it has others too.
+pub fn rows_at(horizon: usize) -> (&'static str, String) {
+    match horizon {
+        1 => ("metrics", String::new()),
+        _ => (
+            "all_metrics",
+            format!("and given is null and (horizon in (0, {horizon}) or modality = 'latent')"),
+        ),
+    }
+}
+
+/// Says how far ahead predictions are.
+pub fn ahead(horizon: usize) -> String {
+    match horizon {
         0 => "estimates of the present sample".to_owned(),
         1 => "predictions of the next sample".to_owned(),
         _ => format!("predictions {horizon} samples ahead"),
-    };
-    let notes = means.into_iter().chain(by_unit).chain([ahead]).chain(undefined(&rows)).collect();
-    Ok(Sheet { titles: 4, header, rows: rows.into_iter().map(row).collect(), notes, ..Sheet::default() })
+    }
 }
 
 /// Sentences about the modalities that lack metrics, because they do not change in the test samples.
