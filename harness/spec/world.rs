@@ -130,9 +130,7 @@ pub struct WorldFile {
     pub regions: Ordered<Colors>,
 }
 
-/// A modality: exactly one of `joint_positions`, `joint_velocities`, `body_positions`, `body_orientations`,
-/// `site_positions`, `site_orientations`, `normal_force`, `sensor`, `camera`, `optical_flow`, `depth`, `segmentation`
-/// and `difference_of`, and its properties.
+/// A modality: exactly one source, such as `joint_positions`, `camera` or `difference_of`, and its properties.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensing {
