@@ -8,7 +8,7 @@
 use candle_core::{Device, Result, Tensor, Var};
 use harness_kernels::product::{Arithmetic, Precision, Unit};
 use harness_learning::data::NormalizedData;
-use harness_learning::network::{Architecture, Draw, Observation, Parameters, Seen, Targets, Value};
+use harness_learning::network::{Architecture, Draw, Observation, Parameters, Score, Seen, Targets, Value};
 use harness_learning::objective::Prediction;
 use harness_learning::open_device;
 use harness_learning::random::{Random, Stream};
@@ -450,6 +450,7 @@ impl Kind {
             input: &architecture.input,
             output: &architecture.output,
             training: &training,
+            score: Score::Loss,
         };
         let fit = Fit {
             task: Task::Prediction,
@@ -502,7 +503,13 @@ impl Kind {
             let Seen { state, divergence, .. } =
                 network.unroll(sequences, start.as_ref(), &encoded, &actions, draw)?;
             let mut loss = (divergence * 1e-2)?;
-            let wanted = Targets { values: &targets, losses: &Default::default(), parts: 1, added: None };
+            let wanted = Targets {
+                values: &targets,
+                losses: &Default::default(),
+                parts: 1,
+                score: Score::Loss,
+                added: None,
+            };
             for term in network.losses(&state, wanted)? {
                 loss = (loss + term.value.get(0)?)?;
             }
