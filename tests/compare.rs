@@ -822,6 +822,9 @@ fn a_plot_of_differences_shows_them_alone_and_says_so() {
     }
     let drawn = std::fs::read_to_string(file("differences.svg")).unwrap();
     assert!(drawn.contains("<title>contact force, difference of R2 over senses</title>"));
+    assert!(drawn.contains("differences from finger, of runs with the same dataset and seed"));
+    // Those with touch are larger by twice the width of the intervals, which leaves room for all.
+    assert!(!drawn.contains("beyond the axis"));
     let data = std::fs::read_to_string(file("differences.csv")).unwrap();
     let mut rows = data.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let place = rows.next().unwrap().iter().position(|name| *name == "difference_from").unwrap();

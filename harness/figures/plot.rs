@@ -598,13 +598,19 @@ fn without_outliers(means: &[&Mean]) -> [f64; 2] {
         };
         others.iter().any(|mean| is_in(mean.interval.mean))
     };
+    // Intervals take room, too.
+    let shortest = |low: f64, high: f64| {
+        let kept = means.iter().filter(|mean| (low..=high).contains(&mean.interval.mean));
+        kept.map(|mean| mean.interval.high() - mean.interval.low()).fold(f64::INFINITY, f64::min)
+    };
     let gap = |end: f64, next: Option<&f64>| next.map_or(f64::INFINITY, |next| (next - end).abs());
     for kept in (count / 2 + 1..count).rev() {
         for (place, window) in values.windows(kept).enumerate() {
             let [low, high] = [window[0], window[kept - 1]];
             let before = place.checked_sub(1).and_then(|place| values.get(place));
             let nearest = gap(low, before).min(gap(high, values.get(place + kept)));
-            if high > low && nearest >= FAR * (high - low) && !is_covered(low, high) {
+            let spread = shortest(low, high).max(high - low);
+            if high > low && nearest >= FAR * spread && !is_covered(low, high) {
                 return [low, high];
             }
         }
