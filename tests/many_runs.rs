@@ -60,7 +60,7 @@ fn times(record: &RunRecord, count: u64) -> [f64; 3] {
     let same = ["scenarios=[empty]", "tasks=[prediction]", seeds.as_str()];
     let plan = [&["run", SMOKE, "--dry-run", "training.epochs=3"], &same[..]].concat();
     let commands: [(&[&str], &str); 3] = [
-        (&["ls"], "more rows"),
+        (&["ls"], "smoke"),
         (&["query", "select status, count(run) from runs group by status"], &count.to_string()),
         (&plan, "differs in training.epochs (1, now 3)"),
     ];
