@@ -213,7 +213,7 @@ fn metrics(registry: &Registry, a: &RunRecord, b: &RunRecord, all: bool) -> Resu
     let same = same.iter().map(|rows| format!("{} of {}", rows[0].task, words(&rows[0].model)));
     let same = same.collect::<Vec<_>>().join(", ");
     let same = (!same.is_empty()).then(|| format!("the same in both: {same}"));
-    let notes = std::iter::once(ahead(horizon)).chain(same).collect();
+    let notes = same.into_iter().chain((!all.is_empty()).then(|| ahead(horizon))).collect();
     let header = ["a", "b", "b - a"].map(str::to_owned).to_vec();
     Ok(Sheet {
         titles: 2,
