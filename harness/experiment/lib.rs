@@ -313,11 +313,16 @@ fn sources(
         (&spec.scenario, &spec.simulation, &spec.test)
     }
     let mut sources: Vec<(RunSpec, Arc<Source>)> = Vec::new();
+    // The place of the first run on each data.
+    let mut firsts: Vec<usize> = Vec::new();
     for spec in runs {
-        let known = sources.iter().find(|(of, _)| data(of) == data(&spec));
-        let source = match known {
+        let mut known = firsts.iter().map(|place| &sources[*place]);
+        let source = match known.find(|(of, _)| data(of) == data(&spec)) {
             Some((_, source)) => source.clone(),
-            None => Arc::new(source(root, experiment, &spec)?),
+            None => {
+                firsts.push(sources.len());
+                Arc::new(source(root, experiment, &spec)?)
+            }
         };
         source.check(&spec)?;
         sources.push((spec, source));
