@@ -84,13 +84,7 @@ impl Answer {
         if self.cells.iter().any(|cell| cell.of.direction.is_some()) {
             all.push(BY_UNIT.to_owned());
         }
-        if let Some(base) = &self.against {
-            all.push(format!(
-                "the other columns have the differences from {}, {}",
-                base.name(),
-                self.pairs(base)
-            ));
-        }
+        all.extend(self.differences().map(|differences| format!("the other columns have the {differences}")));
         all.extend(self.ahead());
         if self.cells.iter().any(|cell| cell.of.metric == Metric::SkillHorizon.name()) {
             all.push("a skill horizon that is the last horizon of the runs is a lower bound".to_owned());
@@ -103,21 +97,17 @@ impl Answer {
         all
     }
 
-    /// Says which runs are compared.
-    fn pairs(&self, base: &Side) -> &'static str {
-        let is_across_data = self.cells.iter().any(|cell| cell.is_across_data);
-        match (base.baseline.is_some(), is_across_data) {
-            (true, false) => "of runs on the same dataset",
-            (false, false) => "of runs with the same dataset and seed",
-            (true, true) => "of runs on datasets with the same seed, which differ otherwise",
-            (false, true) => "of runs with the same seeds, on datasets that differ otherwise",
-        }
-    }
-
-    /// Says what the values are if they are differences from a column.
+    /// Says from what values are differences, and of which runs; `None` if they are none.
     pub fn differences(&self) -> Option<String> {
         let base = self.against.as_ref()?;
-        Some(format!("differences from {}, {}", base.name(), self.pairs(base)))
+        let is_across_data = self.cells.iter().any(|cell| cell.is_across_data);
+        let runs = match (base.baseline.is_some(), is_across_data) {
+            (true, false) => "on the same dataset",
+            (false, false) => "with the same dataset and seed",
+            (true, true) => "on datasets with the same seed, which differ otherwise",
+            (false, true) => "with the same seeds, on datasets that differ otherwise",
+        };
+        Some(format!("differences from {}, of runs {runs}", base.name()))
     }
 
     /// Says what the intervals of networks are; `None` if all cells are of baselines.

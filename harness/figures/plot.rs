@@ -116,12 +116,14 @@ impl Plot {
             return Err(FigureError::SeveralMetrics(answer.metrics.clone()));
         }
         let about = answer.differences().into_iter().chain(answer.ahead()).collect();
+        let Some(base) = &answer.against else {
+            return self.draw_means(&answer.cells, &answer.labels, about);
+        };
         // Among differences, the values of the column from which they are have no place.
-        let is_shown = |cell: &&Mean| answer.against.is_none() || cell.against.is_some();
-        let cells: Vec<Mean> = answer.cells.iter().filter(is_shown).cloned().collect();
-        match (cells.is_empty(), answer.against.as_ref()) {
-            (true, Some(base)) => Err(FigureError::NoDifferences(base.name())),
-            _ => self.draw_means(&cells, &answer.labels, about),
+        let cells: Vec<Mean> = answer.cells.iter().filter(|cell| cell.against.is_some()).cloned().collect();
+        match cells.is_empty() {
+            true => Err(FigureError::NoDifferences(base.name())),
+            false => self.draw_means(&cells, &answer.labels, about),
         }
     }
 
