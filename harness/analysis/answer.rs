@@ -5,7 +5,7 @@ use super::labels::has_own_words;
 use super::{
     AnalysisError, Interval, Key, Label, Labels, Mean, Of, holm, note_about_shared_test, replicates_of,
 };
-use harness_judge::models::NETWORK;
+use harness_judge::models::{NETWORK, PERSISTENCE};
 use harness_metrics::{Metric, best, higher_is_better, label, rounded};
 use harness_shared::numbers::Natural;
 use harness_spec::{Modality, Origin, Task, model_parts, variant_parts};
@@ -311,6 +311,8 @@ pub struct Part {
 struct Column {
     name: String,
     is_baseline: bool,
+    /// Whether it is of another baseline than persistence, which a page with many columns folds.
+    is_further: bool,
 }
 
 /// A row of a [`Part`].
@@ -438,7 +440,11 @@ impl<'a> Comparison<'a> {
         let values = || self.values.iter().filter(|((subject, _), _)| rows.contains(&subject));
         let networks = values().filter(|((_, side), _)| side.baseline.is_none());
         let columns: BTreeSet<&Side> = values().map(|((_, side), _)| side).collect();
-        let column = |side: &&Side| Column { name: side.name(), is_baseline: side.baseline.is_some() };
+        let column = |side: &&Side| Column {
+            name: side.name(),
+            is_baseline: side.baseline.is_some(),
+            is_further: side.baseline.as_deref().is_some_and(|baseline| baseline != PERSISTENCE),
+        };
         Part {
             task: *task,
             scenario: scenario.as_ref().map(Origin::to_string),
