@@ -358,7 +358,7 @@ fn unknown_keys_are_refused_with_the_nearest_name() {
             "spec.yaml:8:3: unknown key 'bacth_size' in 'training'; did you mean 'batch_size'? Allowed: \
              learning_rate, schedule, warmup_epochs, weight_decay, clip_norm, batch_size, \
              rollout_stride, discount, burn_in, truncate, epochs, last_epoch, patience, stop, kl_weight, predict, losses, \
-             distributions, loss_weights, dropout, modality_dropout, precision, tiles, device",
+             distributions, loss_weights, recalibration, dropout, modality_dropout, precision, tiles, device",
         ),
         (
             "split: {holdout: 0.1}\n",
@@ -2058,6 +2058,7 @@ fn random_experiment(random: &mut impl Rng) -> Experiment {
             kl_weight: random.random_range(0.0..1e6),
             losses,
             distributions: Default::default(),
+            recalibration: Default::default(),
             predict: Default::default(),
             loss_weights,
             dropout: if random.random() { 0.0 } else { random.random_range(0.0..1.0) },

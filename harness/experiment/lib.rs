@@ -29,6 +29,7 @@ use crate::shard::Shard;
 use evaluate::References;
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge, models};
 use harness_learning::data::NormalizedData;
+use harness_learning::levels::levels;
 use harness_learning::network::description::Description;
 use harness_learning::network::{Architecture, Decoder, Network, Parameters, Score, architecture};
 use harness_learning::objective::{Objective, Prediction, Reconstruction};
@@ -48,7 +49,7 @@ use harness_shared::files::free_bytes;
 use harness_shared::memory;
 use harness_shared::progress::Progress;
 use harness_simulation::{Scene, SimulationError, mujoco_version};
-use harness_spec::{Device, Experiment, Given, Layout, RunSpec, Task, Trained, World};
+use harness_spec::{Device, Experiment, Given, Layout, Recalibration, RunSpec, Task, Trained, World};
 use rayon::prelude::*;
 use search::{Rungs, Standing};
 use std::collections::HashMap;
@@ -636,19 +637,30 @@ impl TrainingRun<'_> {
             score: Score::Loss,
         };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
+        let network = objective.network;
+        let training = &self.trained.training;
+        let data = match training.recalibration {
+            Recalibration::Quantiles => {
+                let validation = &self.prepared.open.partition.validation;
+                &data.recalibrated(levels(
+                    &self.predictor(&*network, data, 0),
+                    &training.distributions,
+                    validation,
+                )?)
+            }
+            Recalibration::None | Recalibration::Scales => data,
+        };
+        self.save(task, &architecture, &parameters, &data.normalizers)?;
         outcome.timings.prediction = begin.elapsed().as_secs_f64();
-        let Prediction { network, window, input, output, .. } = objective;
-        for data in std::iter::once(Ok(data.clone())).chain(self.tests()) {
+        for data in std::iter::once(Ok(data.clone())).chain(self.tests(data)) {
             let data = data?;
-            let (own, draws) = (network.detached(), self.trained.network.draws);
-            let trained =
-                TrainedNetwork { data: &data, network: own, input, output, window, draws, seed: spec.seed };
+            let trained = self.predictor(&*network, &data, self.trained.network.draws);
             self.judge(task, &trained, outcome)?;
             let begin = Instant::now();
             let test = &self.prepared.open.partition.test;
             let divergences = trained.divergences(test).map_err(LearningError::from)?;
             let (model, given) = (trained.name().to_owned(), trained.given());
-            let horizon = window.first_horizon();
+            let horizon = spec.window.first_horizon();
             let row = |row| MetricRow { task, model: model.clone(), horizon, given, row };
             outcome.metrics.extend(latent::rows(&divergences).into_iter().map(row));
             outcome.timings.evaluation += begin.elapsed().as_secs_f64();
@@ -656,12 +668,23 @@ impl TrainingRun<'_> {
         Ok((network, parameters))
     }
 
+    /// Returns a trained network as a predictor for these data, with this number of drawn latent states.
+    fn predictor<'b>(
+        &'b self,
+        network: &dyn Network,
+        data: &'b NormalizedData,
+        draws: usize,
+    ) -> TrainedNetwork<'b> {
+        let RunSpec { input, output, window, seed, .. } = self.spec;
+        TrainedNetwork { data, network: network.detached(), input, output, window, draws, seed: *seed }
+    }
+
     /// Returns the data of each test besides that with all inputs.
     ///
     /// The data are made when they are needed, because disturbed images may be large.
-    fn tests(&self) -> impl Iterator<Item = Result<NormalizedData, ExperimentError>> {
+    fn tests(&self, data: &NormalizedData) -> impl Iterator<Item = Result<NormalizedData, ExperimentError>> {
         let data = |given: &Given| {
-            let data = self.data.giving(given.inputs(), given.name());
+            let data = data.giving(given.inputs(), given.name());
             match given {
                 Given::Disturbed(inputs) => data.disturbed(inputs, "test").map_err(DatasetError::from),
                 _ => Ok(data),
@@ -682,6 +705,7 @@ impl TrainingRun<'_> {
         let decoder = self.new_decoder(&architecture, &mut parameters)?;
         let objective = Reconstruction { data, latents: &latents, decoder, output: &output };
         self.train(task, &architecture, &objective, &parameters, outcome)?;
+        self.save(task, &architecture, &parameters, &data.normalizers)?;
         outcome.timings.reconstruction = Some(begin.elapsed().as_secs_f64());
         let decoder = objective.decoder.detached();
         let name = models::NETWORK;
@@ -690,7 +714,7 @@ impl TrainingRun<'_> {
             &TrainedDecoder { name, data, latents: &latents, decoder, output: &output },
             outcome,
         )?;
-        for data in self.tests() {
+        for data in self.tests(data) {
             let data = data?;
             let begin = Instant::now();
             let latents = Latents::of(network, &data, &spec.input, &spec.window);
@@ -752,7 +776,7 @@ impl TrainingRun<'_> {
         }
     }
 
-    /// Trains `parameters` on an objective and saves them. Adds the losses to the outcome.
+    /// Trains `parameters` on an objective. Adds the losses to the outcome.
     fn train(
         &self,
         task: Task,
@@ -765,13 +789,25 @@ impl TrainingRun<'_> {
         let log = |epochs: &[learning::training::Epoch]| self.epochs.set(task, epochs);
         let fit = self.fit(task, &state, &log);
         let epochs = fit.run(objective, parameters)?;
-        fit.recalibrate(objective, parameters, architecture).map_err(LearningError::from)?;
-        let NormalizedData { normalizers, action, .. } = &self.data;
-        let losses = &self.trained.training.losses;
-        let network = Description::new(architecture, task, *action, losses, normalizers, &self.spec.window)
+        if self.trained.training.recalibration != Recalibration::None {
+            fit.recalibrate(objective, parameters, architecture).map_err(LearningError::from)?;
+        }
+        outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
+        Ok(())
+    }
+
+    /// Saves a trained network for values that are normalized so.
+    fn save(
+        &self,
+        task: Task,
+        architecture: &Architecture,
+        parameters: &Parameters,
+        normalizers: &Normalizers,
+    ) -> Result<(), ExperimentError> {
+        let (action, losses) = (self.data.action, &self.trained.training.losses);
+        let network = Description::new(architecture, task, action, losses, normalizers, &self.spec.window)
             .map_err(LearningError::from)?;
         checkpoint::save(&self.claimed.checkpoint(task), parameters, normalizers, &network)?;
-        outcome.epochs.extend(epochs.into_iter().map(|epoch| (task, epoch)));
         Ok(())
     }
 

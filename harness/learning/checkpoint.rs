@@ -3,7 +3,7 @@
 
 use super::LearningError;
 use super::network::Parameters;
-use super::network::description::{Description, change_of};
+use super::network::description::{Description, change_of, levels_of};
 use super::tensors::TensorFile;
 use candle_core::{Device, Result as CandleResult, Tensor};
 use harness_samples::{Normalizer, Normalizers};
@@ -35,6 +35,9 @@ pub fn save(
     }
     for (modality, change) in &normalizers.changes {
         tensors.insert(change_of(*modality), vector(&change.std)?);
+    }
+    for (modality, levels) in &normalizers.levels {
+        tensors.insert(levels_of(*modality), vector(levels)?);
     }
     TensorFile { tensors, note: Map::from_iter([(NETWORK.to_owned(), json!(network))]) }.write(path)
 }
@@ -80,9 +83,12 @@ pub fn open(path: &Path) -> Result<(TensorFile, Normalizers), LearningError> {
         Some((modality, Normalizer { mean: vec![0.0; scale.mean.len()], std, minimum: None }))
     };
     let changes = modalities.iter().filter_map(change).collect();
+    let levels =
+        |&modality: &Modality| Some((modality, file.tensors.get(&levels_of(modality))?.to_vec1().ok()?));
+    let levels = modalities.keys().filter_map(levels).collect();
     let action = normalizer("action").ok_or_else(|| LearningError::Damaged {
         path: path.to_owned(),
         reason: "it has no scale of the action".into(),
     })?;
-    Ok((file, Normalizers { modalities, action, changes }))
+    Ok((file, Normalizers { modalities, action, changes, levels }))
 }

@@ -105,6 +105,11 @@ impl NormalizedData {
         Self { normalizers: Arc::new(normalizers), ..self.clone() }
     }
 
+    /// Returns the same data for a network whose predicted quantiles are recalibrated by `levels`.
+    pub fn recalibrated(&self, levels: BTreeMap<Modality, Vec<f32>>) -> Self {
+        Self { normalizers: Arc::new(self.normalizers.with_levels(levels)), ..self.clone() }
+    }
+
     /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of
     /// `modalities`, or their changes since what it got at `present`, where windows may lack inputs.
     pub fn targets(

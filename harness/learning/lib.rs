@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 pub mod data;
+pub mod levels;
 pub mod marginal;
 pub mod memory;
 pub mod network;

@@ -1,5 +1,6 @@
 //! Predicted distributions in physical units.
 
+use super::levels::predicted_at;
 use super::network::{Hurdle, Spread};
 use super::random::Random;
 use candle_core::Result;
@@ -24,6 +25,8 @@ pub(crate) struct Marginals {
     /// `None` for Gaussians, whose values below the minimum are set to it.
     touches: Option<Vec<f32>>,
     minimum: Option<f32>,
+    /// What recalibrates the quantiles, given a contact for a hurdle; see [`levels`](super::levels).
+    levels: Option<Vec<f32>>,
 }
 
 impl Marginals {
@@ -43,7 +46,8 @@ impl Marginals {
             value.denormalize_unbounded(&mut locations);
             touches = Some(of_contact.flatten_all()?.to_vec1()?);
         }
-        Ok(Self { locations, scales, touches, minimum: value.minimum })
+        let levels = normalizers.levels.get(&modality).cloned();
+        Ok(Self { locations, scales, touches, minimum: value.minimum, levels })
     }
 
     /// Returns the quantiles at (i - 0.5) / [`QUANTILES`], for i from 1.
@@ -62,15 +66,20 @@ impl Marginals {
         noise.enumerate().map(|(index, place)| self.at(index, place.into())).collect()
     }
 
-    /// Whether the means are not those that the network predicts, because values below the minimum are set to it.
-    pub fn raise_means(&self) -> bool {
-        self.touches.is_none() && self.minimum.is_some()
+    /// Whether the means are not those that the network predicts, because the quantiles are recalibrated, or values below
+    /// the minimum are set to it.
+    pub fn moves_means(&self) -> bool {
+        self.levels.is_some() || (self.touches.is_none() && self.minimum.is_some())
     }
 
     /// Returns the quantile of a value that the standard normal distribution has at `place`.
     fn at(&self, index: usize, place: f64) -> f32 {
         let [location, scale] = [self.locations[index], self.scales[index]].map(f64::from);
         let Some(touches) = &self.touches else {
+            let place = match &self.levels {
+                Some(levels) => normal_quantile(predicted_at(levels, normal_probability(place))),
+                None => place,
+            };
             let value = (location + scale * place) as f32;
             // `f32::max` would replace NaN with the minimum.
             return self.minimum.filter(|minimum| value < *minimum).unwrap_or(value);
@@ -80,6 +89,7 @@ impl Marginals {
         if higher >= 1.0 {
             return 0.0;
         }
+        let higher = self.levels.as_ref().map_or(higher, |levels| 1.0 - predicted_at(levels, 1.0 - higher));
         let left = 1.0 - 0.5 * ((f64::from(THRESHOLD_N) - location) / scale).exp();
         let higher = higher * left;
         let distance = if higher < 0.5 { -(2.0 * higher).ln() } else { (2.0 * (1.0 - higher)).ln() };

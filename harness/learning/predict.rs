@@ -359,7 +359,7 @@ impl Predictor for TrainedNetwork<'_> {
                     values = drawn.means();
                 } else if let Some(marginals) = marginals.get(&modality) {
                     let quantiles = ensemble.insert(marginals.ensemble()?);
-                    if marginals.raise_means() {
+                    if marginals.moves_means() {
                         values = quantiles.means();
                     }
                 }

@@ -111,6 +111,9 @@ pub struct Normalizers {
     /// Normalizers of the changes since the present sample, of the modalities that a network predicts as such. Their
     /// means are 0, so that no change is 0.
     pub changes: BTreeMap<Modality, Normalizer>,
+    /// For each output whose predicted quantiles are recalibrated, the probabilities of values below those that the
+    /// network predicts at 0, 1/n, 2/n, up to 1. They ascend from 0 to 1.
+    pub levels: BTreeMap<Modality, Vec<f32>>,
 }
 
 /// Running sums for means and standard deviations, one for each value.
@@ -217,7 +220,7 @@ impl Normalizers {
         let actions =
             Moments::of(width, transitions, |sample| samples.action(action, sample).collect::<Vec<_>>());
         let action = actions.scale(Scale::PerElement);
-        Self { modalities: fitted.collect(), action, changes: BTreeMap::new() }
+        Self { modalities: fitted.collect(), action, changes: BTreeMap::new(), levels: BTreeMap::new() }
     }
 
     /// Returns these normalizers with those of the changes of `modalities`, which are vectors. They are computed over
@@ -244,6 +247,11 @@ impl Normalizers {
             (modality, moments.scale_around_zero(std).for_objects(objects))
         });
         Self { changes: changes.collect(), ..self.clone() }
+    }
+
+    /// Returns these normalizers with other levels.
+    pub fn with_levels(&self, levels: BTreeMap<Modality, Vec<f32>>) -> Self {
+        Self { levels, ..self.clone() }
     }
 
     /// Returns for each modality that is predicted as a change the factor by which its change in units of its own

@@ -35,6 +35,7 @@ pub const SPECS: &[BuiltIn] = built_in![
     "noise",
     "oracle",
     "probes",
+    "recalibration",
     "recommended",
     "reproduction",
     "search",

@@ -518,6 +518,9 @@ impl Experiment {
             // The input is reconstructed anyway.
             self.probes.retain(|modality| !self.input.contains(modality));
             self.training.modality_dropout = self.training.modality_dropout.of_inputs(&self.input);
+            if self.training.distributions.is_empty() {
+                self.training.recalibration = Recalibration::default();
+            }
             if self.network.memory != Memory::Window {
                 self.network.memory_samples = Network::default().memory_samples;
             }

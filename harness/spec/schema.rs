@@ -232,11 +232,11 @@ pub(super) fn varies(key: &str) -> bool {
 }
 
 /// Whether a search may draw the setting. Trials with other data, outputs or scales could not be compared by their
-/// losses, nor could those with other distributions. Successive halving sets the last epoch, and the device changes
-/// nothing but rounding.
+/// losses, nor could those with other distributions. Successive halving sets the last epoch, the device changes
+/// nothing but rounding, and distributions are recalibrated after the losses are known.
 fn draws(key: &str) -> bool {
     const SECTIONS: [&str; 5] = ["input", "outputs", "action", "network", "training"];
-    let is_set = ["training.last_epoch", "training.device"].contains(&key);
+    let is_set = ["training.last_epoch", "training.device", "training.recalibration"].contains(&key);
     let is_drawn = !is_set && !key.ends_with(".distribution");
     SECTIONS.contains(&key.split('.').next().unwrap_or(key)) && is_drawn
 }

@@ -198,6 +198,21 @@ pub enum Family {
 }
 names!(Family { None => "none", Gaussian => "gaussian", Hurdle => "hurdle" });
 
+/// How predicted distributions are recalibrated after the training, on the validation samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Recalibration {
+    /// They are not.
+    None,
+    /// The scales of each output are multiplied by one factor, and the logits of a contact by another.
+    #[default]
+    Scales,
+    /// The quantiles of each output are then taken from other probabilities, so that as many values lie below each as
+    /// should (Kuleshov et al., 2018). Predictions are the means of these distributions.
+    Quantiles,
+}
+names!(Recalibration { None => "none", Scales => "scales", Quantiles => "quantiles" });
+
 /// The settings of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -508,6 +523,9 @@ pub struct Training {
     /// Weight of the mean loss of each output, as `outputs.NAME.weight` says.
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
+    /// How predicted distributions are recalibrated after the training, on the validation samples. It has no effect
+    /// without them.
+    pub recalibration: Recalibration,
     /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
     /// in [0, 1). It has no effect on a fully connected network.
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]

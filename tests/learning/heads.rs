@@ -3,6 +3,7 @@
 use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, predicting, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
+use harness_learning::levels::{PARTS, levels};
 use harness_learning::network::{Decoder, Hurdle, Spread};
 use harness_learning::predict::TrainedNetwork;
 use harness_metrics::Ensemble;
@@ -189,6 +190,73 @@ fn recalibration_finds_the_scale_and_the_probability_of_the_validation_samples()
         architecture.recalibrate(&parameters, &mut |_| Ok(scores.clone())).unwrap();
         assert_eq!(of(&parameters), calibrated);
     }
+}
+
+#[test]
+fn as_many_values_as_should_lie_below_recalibrated_quantiles() {
+    for memory in [Memory::None, Memory::Gru] {
+        let (bench, network, _) = bench(memory, Family::Gaussian);
+        let at = &bench.partition.training;
+        let families = [(Modality::ARM, Family::Gaussian)].into();
+        let window = WINDOW;
+        let predicted = trained(&bench.data, network.detached(), &window);
+        let shares = levels(&predicted, &families, at).unwrap();
+        let shares_of = &shares[&Modality::ARM];
+        assert_eq!((shares_of[0], shares_of[PARTS]), (0.0, 1.0));
+        let is_wrong = |(place, share): (usize, &f32)| (share - place as f32 / PARTS as f32).abs() > 0.05;
+        assert!(shares_of.iter().enumerate().any(is_wrong), "{shares_of:?}");
+        let data = bench.data.recalibrated(shares.clone());
+        let recalibrated = trained(&data, network.detached(), &window);
+        let mut below = vec![0.0; shares_of.len()];
+        let mut count = 0.0;
+        for part in at.chunks(40) {
+            for (horizon, ensemble) in received(&recalibrated, part, Modality::ARM, distribution) {
+                let samples = harness_samples::after(part, horizon);
+                let values = samples.iter().flat_map(|at| data.samples.vector(Modality::ARM, *at));
+                for (index, value) in values.enumerate() {
+                    count += 1.0;
+                    for (below, share) in below.iter_mut().zip(shares_of) {
+                        let quantile = ensemble.at(index).quantile(f64::from(*share));
+                        *below += f64::from(u8::from(f64::from(*value) < quantile));
+                    }
+                }
+            }
+        }
+        for (below, share) in below[1..PARTS].iter().zip(&shares_of[1..PARTS]) {
+            assert!((below / count - f64::from(*share)).abs() < 0.02, "{memory}: {} {share}", below / count);
+        }
+    }
+}
+
+#[test]
+fn levels_move_the_force_given_a_contact_and_not_the_probability_of_one() {
+    let mut bench = Bench::new();
+    bench.training.distributions = [(FORCE, Family::Hurdle)].into();
+    let network = bench.architecture().network(&mut Parameters::new(), &mut random(3), &Device::Cpu).unwrap();
+    let (window, at) = (&Window::TRANSITION, &bench.partition.test[..3]);
+    let predictions = |data: &NormalizedData| {
+        let (network, output) = (network.detached(), &[FORCE]);
+        let trained = TrainedNetwork { data, network, input: &INPUT, output, window, draws: 0, seed: 0 };
+        received(&trained, at, FORCE, |all| (all.values.clone(), distribution(all))).remove(&1).unwrap()
+    };
+    // A value is below the network's quantile at p with the probability p².
+    let squares = (0..=100).map(|place| (place as f32 / 100.0).powi(2)).collect();
+    let data = bench.data.recalibrated([(FORCE, squares)].into());
+    let ((before, predicted), (after, recalibrated)) = (predictions(&bench.data), predictions(&data));
+    for index in 0..before.len() {
+        let [old, new] = [&predicted, &recalibrated].map(|all| all.at(index));
+        assert_eq!(old.above(0.05), new.above(0.05));
+        let [old, new] = [old, new].map(|all| all.given_above(0.05).unwrap());
+        let [expected, found] = [old.quantile(0.5f64.sqrt()), new.quantile(0.5)];
+        assert!((found - expected).abs() < 0.03 * expected, "{index}: {found} {expected}");
+        let mean = recalibrated.at(index).mean(f64::from) as f32;
+        assert!((after[index] - mean).abs() < 1e-5 * mean && after[index] > 1.1 * before[index], "{index}");
+    }
+    // Without a contact in the windows, nothing is known of its force.
+    let families = [(FORCE, Family::Hurdle)].into();
+    let (network, output) = (network.detached(), &[FORCE]);
+    let trained = TrainedNetwork { data: &data, network, input: &INPUT, output, window, draws: 0, seed: 0 };
+    assert!(levels(&trained, &families, &[]).unwrap().is_empty());
 }
 
 #[test]
