@@ -13,7 +13,8 @@ const MOTION_QUANTILES: [f64; 5] = [0.02, 0.3, 0.6, 0.85, 0.98];
 pub struct SampledWindow {
     /// The present sample.
     pub present: Sample,
-    /// Mean absolute change of the first camera's image from this sample to the next, in [0, 1].
+    /// Mean absolute change of the first camera's image from this sample to the next, in [0, 1]. At the end of an
+    /// episode, which is only estimated, it is that from the sample before.
     pub motion: f64,
 }
 
@@ -29,7 +30,7 @@ pub fn sample_windows(samples: &Samples, test: &[Sample]) -> Vec<SampledWindow> 
         return Vec::new();
     }
     let motion = |present: Sample| {
-        let (sum, values) = frame_difference(samples, camera, present.after(1))
+        let (sum, values) = frame_difference(samples, camera, samples.next(present))
             .fold((0.0, 0), |(sum, values), change| (sum + f64::from(change.abs()), values + 1));
         SampledWindow { present, motion: sum / f64::from(values) }
     };

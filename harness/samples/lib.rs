@@ -278,13 +278,17 @@ impl Samples {
         if place == 0 { sample } else { sample.before(1) }
     }
 
+    /// Returns the sample after this one in its episode. For the last sample, returns the sample itself.
+    pub fn next(&self, sample: Sample) -> Sample {
+        let (episode, place) = self.place_in_memory(sample);
+        if place + 1 < self.episodes[episode].len() { sample.after(1) } else { sample }
+    }
+
     /// Returns the action between `sample` and the next one, in physical units. The setpoint does not change after the
     /// last sample of an episode.
     pub fn action(&self, action: Action, sample: Sample) -> impl Iterator<Item = f32> {
         let width = self.layout.action().len();
-        let (episode, place) = self.place_in_memory(sample);
-        let last = if place + 1 < self.episodes[episode].len() { sample.index() + 1 } else { sample.index() };
-        let (now, next) = (sample.index() * width, last * width);
+        let (now, next) = (sample.index() * width, self.next(sample).index() * width);
         (0..width).map(move |element| match action {
             Action::Target => self.setpoints()[next + element],
             Action::Increment => self.setpoints()[next + element] - self.setpoints()[now + element],
