@@ -3,12 +3,12 @@
 
 use super::LearningError;
 use super::network::Parameters;
-use super::network::description::{Description, change_of, levels_of};
+use super::network::description::{Description, change_of};
 use super::tensors::TensorFile;
 use candle_core::{Device, Result as CandleResult, Tensor};
 use harness_samples::{Normalizer, Normalizers};
 use harness_spec::Modality;
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -35,9 +35,6 @@ pub fn save(
     }
     for (modality, change) in &normalizers.changes {
         tensors.insert(change_of(*modality), vector(&change.std)?);
-    }
-    for (modality, levels) in &normalizers.levels {
-        tensors.insert(levels_of(*modality), vector(levels)?);
     }
     TensorFile { tensors, note: Map::from_iter([(NETWORK.to_owned(), json!(network))]) }.write(path)
 }
@@ -83,9 +80,12 @@ pub fn open(path: &Path) -> Result<(TensorFile, Normalizers), LearningError> {
         Some((modality, Normalizer { mean: vec![0.0; scale.mean.len()], std, minimum: None }))
     };
     let changes = modalities.iter().filter_map(change).collect();
-    let levels =
-        |&modality: &Modality| Some((modality, file.tensors.get(&levels_of(modality))?.to_vec1().ok()?));
-    let levels = modalities.keys().filter_map(levels).collect();
+    let levels = |output: &Value| {
+        let levels = serde_json::from_value(output["distribution"]["levels"].clone()).ok()?;
+        Some((Modality::new(output["name"].as_str()?)?, levels))
+    };
+    let outputs = file.note.get(NETWORK).and_then(|network| network["outputs"].as_array());
+    let levels = outputs.into_iter().flatten().filter_map(levels).collect();
     let action = normalizer("action").ok_or_else(|| LearningError::Damaged {
         path: path.to_owned(),
         reason: "it has no scale of the action".into(),

@@ -3,7 +3,7 @@
 use super::changes::{MEMORIES, WINDOW, bench, loss_and_score, predicting, received, trained};
 use super::*;
 use harness_judge::{Predicted, Predictor};
-use harness_learning::levels::{PARTS, levels};
+use harness_learning::levels::{PARTS, levels, share_below, shares};
 use harness_learning::network::{Decoder, Hurdle, Spread};
 use harness_learning::predict::TrainedNetwork;
 use harness_metrics::Ensemble;
@@ -252,11 +252,52 @@ fn levels_move_the_force_given_a_contact_and_not_the_probability_of_one() {
         let mean = recalibrated.at(index).mean(f64::from) as f32;
         assert!((after[index] - mean).abs() < 1e-5 * mean && after[index] > 1.1 * before[index], "{index}");
     }
-    // Without a contact in the windows, nothing is known of its force.
+    // They are read from the description of the network.
+    bench.data = data;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("network.safetensors");
+    let normalizers = &bench.data.normalizers;
+    checkpoint::save(&path, &Parameters::new(), normalizers, &bench.description()).unwrap();
+    assert_eq!(checkpoint::open(&path).unwrap().1, **normalizers);
+    // A few contacts say too little.
     let families = [(FORCE, Family::Hurdle)].into();
-    let (network, output) = (network.detached(), &[FORCE]);
-    let trained = TrainedNetwork { data: &data, network, input: &INPUT, output, window, draws: 0, seed: 0 };
-    assert!(levels(&trained, &families, &[]).unwrap().is_empty());
+    let samples = Arc::new(walks(30, 12));
+    let partition = samples.partition(&Split::default(), window).unwrap();
+    let data = &NormalizedData::new(samples, normalizers.clone(), Action::Increment, Device::Cpu);
+    let network = network.detached();
+    let trained =
+        TrainedNetwork { data, network, input: &INPUT, output: &[FORCE], window, draws: 0, seed: 0 };
+    let found = |at| levels(&trained, &families, at).unwrap().len();
+    assert_eq!([found(&partition.training[..4]), found(&partition.training)], [0, 1]);
+}
+
+#[test]
+fn values_at_a_minimum_are_as_frequent_as_they_should_be() {
+    // A force is 0 nine times out of ten. The network gives it the probabilities 0.2 to 0.6, and is too narrow above.
+    let mut random = random(11);
+    let mut draw = || f64::from(random.uniform(1, 0.5)[0]) + 0.5;
+    let bounds: Vec<[f64; 2]> = (0..20_000)
+        .map(|_| {
+            let zero = 0.2 + 0.4 * draw();
+            if draw() < 0.9 { [0.0, zero] } else { [zero + (1.0 - zero) * draw().sqrt(); 2] }
+        })
+        .collect();
+    let shares = shares(&bounds);
+    // Recalibrated, the expected place of each value is uniform.
+    let below = |probability: f64| {
+        let of = |[low, high]: &[f64; 2]| {
+            let [low, high] = [low, high].map(|level| share_below(&shares, *level));
+            if high > low {
+                ((probability - low) / (high - low)).clamp(0.0, 1.0)
+            } else {
+                f64::from(u8::from(low < probability))
+            }
+        };
+        bounds.iter().map(of).sum::<f64>() / bounds.len() as f64
+    };
+    for tenth in (1..10).map(|tenth| f64::from(tenth) / 10.0) {
+        assert!((below(tenth) - tenth).abs() < 0.01, "{tenth}: {}", below(tenth));
+    }
 }
 
 #[test]

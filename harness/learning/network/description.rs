@@ -156,11 +156,6 @@ pub(crate) fn change_of(modality: Modality) -> String {
     format!("scale.{modality}.change")
 }
 
-/// Returns the name of the tensor that recalibrates the predicted quantiles of a modality.
-pub(crate) fn levels_of(modality: Modality) -> String {
-    format!("scale.{modality}.levels")
-}
-
 /// A modality that the decoder returns.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Output {
@@ -201,9 +196,10 @@ pub struct Predicted {
     /// The force above which a link touches, N; only for a hurdle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threshold: Option<f32>,
-    /// Name of the tensor that recalibrates the quantiles; `None` if they are those of the family.
+    /// The probabilities of values below the quantiles of the family at 0, 1/n, 2/n, up to 1, given a contact for a
+    /// hurdle; `None` if they are these themselves.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub levels: Option<String>,
+    pub levels: Option<Vec<f32>>,
 }
 
 /// The action that a decoder or a memory takes.
@@ -446,7 +442,7 @@ impl Description {
                 least_scale: LEAST_SCALE,
                 greatest_logarithm: GREATEST_LOGARITHM,
                 threshold: (head.family == Family::Hurdle).then_some(THRESHOLD_N),
-                levels: normalizers.levels.contains_key(&name).then(|| levels_of(name)),
+                levels: normalizers.levels.get(&name).cloned(),
             });
             Output { quantity, change, minimum, loss, softmax, distribution }
         };
