@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Number of test samples whose predictions are stored, over four test episodes. A real run has 4,000.
 const SAMPLES: usize = 80;
@@ -65,28 +66,32 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns the name of each scenario's dataset, which isn't collected.
+/// The name and the layout of a dataset, which isn't collected.
+type Named = (String, Arc<Layout>);
+
+/// Returns each scenario's dataset.
 fn datasets(
     registry: &Registry,
     experiment: &Experiment,
-) -> Result<BTreeMap<&'static str, String>, Box<dyn Error>> {
-    let name = |scenario: &Scenario| {
-        let dataset = dataset_of(&registry.datasets(), &Scene::paper(*scenario)?, &experiment.simulation);
-        Ok((scenario.name(), dataset.name().to_owned()))
+) -> Result<BTreeMap<&'static str, Named>, Box<dyn Error>> {
+    let named = |scenario: &Scenario| {
+        let (scene, simulation) = (Scene::paper(*scenario)?, &experiment.simulation);
+        let dataset = dataset_of(&registry.datasets(), &scene, simulation);
+        Ok((scenario.name(), (dataset.name().to_owned(), scene.layout_of(simulation))))
     };
-    Scenario::PAPER.iter().map(name).collect()
+    Scenario::PAPER.iter().map(named).collect()
 }
 
 fn write(
     registry: &Registry,
     experiment: &str,
     spec: &RunSpec,
-    dataset: &str,
+    (dataset, layout): &Named,
     by: &Provenance,
 ) -> Result<(), Box<dyn Error>> {
     let folder = registry.run(experiment, spec, dataset);
     let run = registry.claim(&folder)?.ok_or("another process is working on it")?;
-    let record = run.begin(spec, &Layout::finger(), by)?;
+    let record = run.begin(spec, layout, by)?;
     for task in &spec.tasks {
         std::fs::write(folder.checkpoint(*task), "made up")?;
     }

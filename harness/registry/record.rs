@@ -250,18 +250,31 @@ fn is_finger(layout: &Arc<Layout>) -> bool {
     **layout == *Layout::finger()
 }
 
-/// Serializes a layout behind an `Arc` like the layout itself.
+/// Serializes a layout behind an `Arc` like the layout itself, and reads equal ones once. A layout is three quarters of a
+/// record, and that of most runs in a folder is the same.
 mod shared {
     use harness_spec::Layout;
+    use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
-    use std::sync::Arc;
+    use serde_json::value::RawValue;
+    use std::collections::HashMap;
+    use std::sync::{Arc, LazyLock, PoisonError, RwLock};
+
+    /// The layouts that were read, by their JSON.
+    static READ: LazyLock<RwLock<HashMap<Box<str>, Arc<Layout>>>> = LazyLock::new(RwLock::default);
 
     pub fn serialize<S: Serializer>(layout: &Arc<Layout>, serializer: S) -> Result<S::Ok, S::Error> {
         layout.as_ref().serialize(serializer)
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<Layout>, D::Error> {
-        Layout::deserialize(deserializer).map(Arc::new)
+        let json = Box::<RawValue>::deserialize(deserializer)?;
+        if let Some(layout) = READ.read().unwrap_or_else(PoisonError::into_inner).get(json.get()) {
+            return Ok(layout.clone());
+        }
+        let layout: Arc<Layout> = Arc::new(serde_json::from_str(json.get()).map_err(D::Error::custom)?);
+        READ.write().unwrap_or_else(PoisonError::into_inner).insert(json.get().into(), layout.clone());
+        Ok(layout)
     }
 }
 
