@@ -195,7 +195,7 @@ fn further_rows_change_no_other_answer() {
     let moved = [&plain, &further].map(|results| moved(results));
     for (expected, found) in moved[0].iter().zip(&moved[1]) {
         for command in &COMMANDS[..COMMANDS.len() - 3] {
-            if ["verify", "show"].contains(&command[0]) || command.contains(&"reproduction") {
+            if ["verify", "show", "claims"].contains(&command[0]) || command.contains(&"reproduction") {
                 continue;
             }
             assert_eq!(
@@ -209,6 +209,16 @@ fn further_rows_change_no_other_answer() {
         fs::remove_dir_all(expected).and_then(|()| fs::remove_dir_all(found)).unwrap();
     }
     [plain, further].iter().for_each(|folder| fs::remove_dir_all(folder).unwrap());
+}
+
+#[test]
+fn the_last_samples_of_episodes_are_estimated_from_images_too() {
+    let results = fresh("horizons_present");
+    let present = ["window.horizon=0", "scenarios=[empty]", "input=[vision]", "tasks=[prediction]"];
+    succeed(&results, &[&["run", SMOKE, "output=[contact_force,frame_difference]"][..], &present].concat());
+    let sql = "select count(distinct sample) as n from frames where modality = 'frame_difference'";
+    let frames = catalog::query(&Registry::new(&results), sql).unwrap();
+    assert_eq!(frames.column("n").unwrap().get(0).unwrap().try_extract::<i64>().unwrap(), 5);
 }
 
 /// What `harness serve` answers to requests, each a method, a path and a body.

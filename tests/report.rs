@@ -78,23 +78,28 @@ pub fn data(page: &str) -> Value {
         .unwrap()
 }
 
+const PUBLISHED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/results/reference");
+
+/// The page of all published results.
+static PUBLISHED_PAGE: LazyLock<String> = LazyLock::new(|| {
+    let out = folder("report_reference").join("report.html");
+    succeed(Path::new(PUBLISHED), &["report", "--output", out.to_str().unwrap()]);
+    fs::read_to_string(out).unwrap()
+});
+
 /// The published runs of reproduction.yaml judge the claims.
 #[test]
 fn verdicts_of_readings_are_below_each_claim() {
-    let results = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
     let folder = tempfile::tempdir().unwrap();
-    let page = |more: &[&str]| {
-        written_page(&results, &folder.path().join("page.html"), more, Path::new("/dev/null"))
-    };
-    let all = page(&[]);
-    let claim = between(&all, "id=\"claim-force_errors_stay_high\"", "</details>");
+    let out = folder.path().join("page.html");
+    let one = written_page(Path::new(PUBLISHED), &out, &["which_sense"], Path::new("/dev/null"));
+    assert!(!one.contains("class=\"reading\""), "a page of chosen experiments is about these");
+    let claim = between(&PUBLISHED_PAGE, "id=\"claim-force_errors_stay_high\"", "</details>");
     // No run is of the claims' own experiments, so that the line names the scenario.
     let reading = ", recommended, 4 datasets</span>";
     assert_eq!(claim.matches(reading).count(), 2, "{claim}");
     let below = claim.split(reading).nth(1).unwrap();
     assert!(below.contains("<span class=\"verdict "), "{below}");
-    let one = page(&["which_sense"]);
-    assert!(!one.contains("class=\"reading\""), "a page of chosen experiments is about these");
 }
 
 #[test]
@@ -248,14 +253,10 @@ fn numbers_to_look_closer_at_are_those_of_a_query() {
 
 #[test]
 fn the_page_of_the_published_results_is_small() {
-    let results = folder("report_reference");
-    let out = results.join("report.html");
-    let reference = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/reference");
-    succeed(&reference, &["report", "--output", out.to_str().unwrap()]);
-    let page = fs::read_to_string(out).unwrap();
+    let page = &*PUBLISHED_PAGE;
     assert!(page.len() < 6_100_000, "{} bytes", page.len());
     let answer = query(
-        &Registry::new(&reference),
+        &Registry::new(PUBLISHED),
         "select experiment, run, task, max(epoch) as last from epochs where variant not like 'reading=%' \
          group by experiment, run, task",
     );
@@ -263,7 +264,7 @@ fn the_page_of_the_published_results_is_small() {
     let column = |name: &str| answer.column(name).unwrap().clone();
     let (experiments, runs, tasks, last) =
         (column("experiment"), column("run"), column("task"), column("last"));
-    let data = data(&page);
+    let data = data(page);
     for row in 0..answer.height() {
         let text = |column: &Column| column.get(row).unwrap().str_value().into_owned();
         let last = last.get(row).unwrap().try_extract::<u64>().unwrap();
