@@ -84,12 +84,3 @@ pub fn share_below(shares: &[f32], level: f64) -> f64 {
     let [low, high] = [place.floor(), place.ceil()].map(|place| f64::from(shares[place as usize]));
     low + (high - low) * place.fract()
 }
-
-/// Returns the probability at which the network predicts the quantile at `probability`, with the shares that [`levels`]
-/// returns.
-pub(crate) fn predicted_at(shares: &[f32], probability: f64) -> f64 {
-    let above = shares.partition_point(|share| f64::from(*share) <= probability).clamp(1, shares.len() - 1);
-    let [low, high] = [above - 1, above].map(|place| f64::from(shares[place]));
-    let within = if high > low { (probability - low) / (high - low) } else { 1.0 };
-    ((above - 1) as f64 + within) / (shares.len() - 1) as f64
-}

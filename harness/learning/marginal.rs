@@ -1,6 +1,5 @@
 //! Predicted distributions in physical units.
 
-use super::levels::predicted_at;
 use super::network::{Hurdle, Spread};
 use super::random::Random;
 use candle_core::Result;
@@ -25,7 +24,7 @@ pub(crate) struct Marginals {
     /// `None` for Gaussians, whose values below the minimum are set to it.
     touches: Option<Vec<f32>>,
     minimum: Option<f32>,
-    /// What recalibrates the quantiles, given a contact for a hurdle; see [`levels`](super::levels).
+    /// What recalibrates the quantiles, given a contact for a hurdle: see [`Normalizers::levels`].
     levels: Option<Vec<f32>>,
 }
 
@@ -95,6 +94,15 @@ impl Marginals {
         let distance = if higher < 0.5 { -(2.0 * higher).ln() } else { (2.0 * (1.0 - higher)).ln() };
         (location + scale * distance) as f32
     }
+}
+
+/// Returns the probability at which the network predicts the quantile at `probability`. `shares` are those of the values
+/// below the quantiles that it predicts at equally spaced probabilities.
+fn predicted_at(shares: &[f32], probability: f64) -> f64 {
+    let above = shares.partition_point(|share| f64::from(*share) <= probability).clamp(1, shares.len() - 1);
+    let [low, high] = [above - 1, above].map(|place| f64::from(shares[place]));
+    let within = if high > low { (probability - low) / (high - low) } else { 1.0 };
+    ((above - 1) as f64 + within) / (shares.len() - 1) as f64
 }
 
 /// Returns the probability that a standard normal value is below `place`.
