@@ -1,8 +1,8 @@
 //! Recalibration of the quantiles that a network predicts.
 //!
-//! Values need not lie below a predicted quantile as often as its probability says. So each quantile is taken from where
-//! the network predicts it: at the probability that it gives to those values below which the validation samples lie this
-//! often (Kuleshov, Fenner and Ermon, 2018, *Accurate uncertainties for deep learning using calibrated regression*).
+//! Values need not lie below a predicted quantile as often as its probability says. So the quantile at p is taken at the
+//! probability of the network below which a share p of the validation values lies (Kuleshov, Fenner and Ermon, 2018,
+//! *Accurate uncertainties for deep learning using calibrated regression*).
 
 use super::predict::TrainedNetwork;
 use harness_judge::{BATCH, JudgeError, Predictor};
@@ -22,7 +22,7 @@ const PASSES: usize = 10;
 
 /// Returns for each output with a distribution the shares of the values of the windows at the present samples `at` that
 /// lie below the quantiles which `network` predicts at 0, 1 / [`PARTS`], up to 1: its values at all judged horizons, or
-/// the contacts among them for a hurdle. Outputs with less than 200 of them are left out.
+/// the contacts among them that a member reaches for a hurdle. Outputs with less than 200 of them are left out.
 ///
 /// # Errors
 /// When the network fails.

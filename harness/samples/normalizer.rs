@@ -112,7 +112,7 @@ pub struct Normalizers {
     /// means are 0, so that no change is 0.
     pub changes: BTreeMap<Modality, Normalizer>,
     /// For each output whose predicted quantiles are recalibrated, the probabilities of values below those that the
-    /// network predicts at 0, 1/n, 2/n, up to 1.
+    /// network predicts at 0, 1/n, 2/n, up to 1, given a contact for a hurdle.
     pub levels: BTreeMap<Modality, Vec<f32>>,
 }
 

@@ -207,8 +207,8 @@ pub enum Recalibration {
     /// The scales of each output are multiplied by one factor, and the logits of a contact by another.
     #[default]
     Scales,
-    /// The quantiles of each output are then taken from other probabilities, so that as many values lie below each as
-    /// should (Kuleshov et al., 2018). Predictions are the means of these distributions.
+    /// As `scales`, and the quantiles of each output are then taken at other probabilities, so that as many values lie
+    /// below each as should (Kuleshov et al., 2018). Predictions are the means of these distributions.
     Quantiles,
 }
 names!(Recalibration { None => "none", Scales => "scales", Quantiles => "quantiles" });
@@ -524,7 +524,7 @@ pub struct Training {
     #[schemars(schema_with = "loss_weights_schema")]
     pub loss_weights: BTreeMap<Modality, f64>,
     /// How predicted distributions are recalibrated after the training, on the validation samples. It has no effect
-    /// without them.
+    /// without distributions or validation samples.
     pub recalibration: Recalibration,
     /// Probability that a step of training drops an output of the last convolution (dropout; Srivastava et al., 2014),
     /// in [0, 1). It has no effect on a fully connected network.
