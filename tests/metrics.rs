@@ -643,6 +643,18 @@ fn the_phases_of_a_contact_have_metrics_of_their_own() {
 }
 
 #[test]
+fn links_that_touch_in_one_sample_of_a_hundred_have_rows_of_their_own() {
+    // Link 3 touches in 4 of 400 samples, and link 7 in 3.
+    let touches = |link: usize, sample: usize| link == 3 && sample < 4 || link == 7 && sample < 3;
+    let force = |place: usize| f32::from(u8::from(touches(place % JOINTS, place / JOINTS)));
+    let reference: Vec<f32> = (0..400 * JOINTS).map(force).collect();
+    let rows = of_forces(&reference, &reference, &reference, None);
+    let mut own: Vec<u32> = rows.iter().filter_map(|row| row.index).collect();
+    own.dedup();
+    assert_eq!(own, [3]);
+}
+
+#[test]
 fn r2_without_the_strongest_contacts_leaves_out_one_sample_of_a_hundred() {
     let mut reference: Vec<f32> = (0..200).map(|sample| (sample % 2) as f32).collect();
     let predicted = reference.iter().map(|r| r * 0.5).collect::<Vec<_>>();
