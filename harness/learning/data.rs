@@ -107,7 +107,8 @@ impl NormalizedData {
 
     /// Returns the same data for a network whose predicted quantiles are recalibrated by `levels`.
     pub fn recalibrated(&self, levels: BTreeMap<Modality, Vec<f32>>) -> Self {
-        Self { normalizers: Arc::new(self.normalizers.with_levels(levels)), ..self.clone() }
+        let normalizers = Normalizers { levels, ..(*self.normalizers).clone() };
+        Self { normalizers: Arc::new(normalizers), ..self.clone() }
     }
 
     /// Returns what a network should predict at the samples `at`, each of which follows one in `present`: the values of

@@ -249,11 +249,6 @@ impl Normalizers {
         Self { changes: changes.collect(), ..self.clone() }
     }
 
-    /// Returns these normalizers with other levels.
-    pub fn with_levels(&self, levels: BTreeMap<Modality, Vec<f32>>) -> Self {
-        Self { levels, ..self.clone() }
-    }
-
     /// Returns for each modality that is predicted as a change the factor by which its change in units of its own
     /// deviation is divided, one for each element.
     pub fn change_ratios(&self) -> BTreeMap<Modality, Vec<f32>> {
