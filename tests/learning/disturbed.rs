@@ -125,6 +125,29 @@ fn images_are_occluded_and_blurred() {
     assert!(differences(&blurred(1.0)) < 0.5 * differences(&sharp));
 }
 
+/// Each pixel of a blurred image is the mean of its surroundings, weighted by a normal distribution. Beyond the border
+/// are the pixels of the border.
+#[test]
+fn a_blur_is_the_weighted_mean_of_the_surroundings() {
+    let (recorded, sensed, _) = with(Modality::VISION, Disturbance { blur: 1.5, ..none() }, "test");
+    let [rows, columns] = recorded.layout()[Modality::VISION].size().unwrap();
+    let [before, after] = [&recorded, &sensed].map(|all| all.frame_bytes(Modality::VISION, Sample::at(3)));
+    let weight = |distance: isize| (-0.5 * (distance as f64 / 1.5).powi(2)).exp();
+    let within = |place: isize, side: usize| place.clamp(0, side as isize - 1) as usize;
+    for (pixel, blurred) in after.iter().enumerate() {
+        let (channel, row, column) = (pixel / (rows * columns), pixel / columns % rows, pixel % columns);
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (down, right) in (-9..=9).flat_map(|down| (-9..=9).map(move |right| (down, right))) {
+            let (row, column) = (within(row as isize + down, rows), within(column as isize + right, columns));
+            sum +=
+                weight(down) * weight(right) * f64::from(before[(channel * rows + row) * columns + column]);
+            weights += weight(down) * weight(right);
+        }
+        let difference = f64::from(*blurred) - sum / weights;
+        assert!(difference.abs() <= 1.0, "channel {channel}, row {row}, column {column}: {difference}");
+    }
+}
+
 #[test]
 fn targets_are_not_disturbed_and_changes_are_added_to_what_was_given() {
     let data = bench(Memory::None, Family::None).0.data;
