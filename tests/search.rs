@@ -245,6 +245,8 @@ fn a_diverging_trial_is_the_worst_and_is_not_tried_again() {
     let answer = case.run(&[]);
     assert!(answer.stdout.contains("\n4 diverged: "), "{}{}", answer.stdout, answer.stderr);
     assert_eq!(counts(&answer), [4, 0, 0]);
+    assert!(answer.stdout.contains("\n2 continued after a comparison of trials\n"), "{}", answer.stdout);
+    assert!(best(&answer)[0].ends_with(", of 8 trials)"), "{:?}", best(&answer));
     let plan = succeed(case.path(), &case.command(&["--dry-run"]));
     let failed = plan.lines().filter(|line| line.starts_with("failed "));
     assert_eq!(failed.filter(|line| line.contains("learning_rate=1") && line.contains("finite")).count(), 4);
