@@ -1,38 +1,12 @@
 //! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
+use super::usage;
+use anyhow::{Result, anyhow, bail};
 use harness::registry::{path_word, quoted};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
-
-/// Why Slurm did not do what it was asked for.
-#[derive(Debug, thiserror::Error)]
-pub enum SlurmError {
-    /// A program of Slurm is not installed.
-    #[error("{program} is not installed, so this machine is not part of a Slurm cluster{}", instead(program))]
-    Missing {
-        /// Its name.
-        program: String,
-    },
-    /// A program of Slurm failed.
-    #[error("{program} failed: {said}")]
-    Refused {
-        /// Its name.
-        program: String,
-        /// What it said.
-        said: String,
-    },
-    /// A program of Slurm can't be started.
-    #[error("{program} can't be started: {source}")]
-    Start {
-        /// Its name.
-        program: String,
-        /// Why.
-        #[source]
-        source: std::io::Error,
-    },
-}
 
 /// What to do where a program of Slurm is missing.
 fn instead(program: &str) -> &'static str {
@@ -234,21 +208,21 @@ exit "$code"
 ///
 /// # Errors
 /// When sbatch is not installed or refuses the script.
-pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
+pub fn submit(script: &Path, after: Option<u64>) -> Result<u64> {
     let mut arguments = vec!["--parsable".to_owned()];
     arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));
     let mut command = Command::new("sbatch");
     let said = answer(command.args(arguments).arg(script))?;
     // `--parsable` prints `number` or `number;cluster`.
     let number = said.trim().split(';').next().and_then(|number| number.parse().ok());
-    number.ok_or_else(|| SlurmError::Refused { program: "sbatch".into(), said: said.trim().to_owned() })
+    number.ok_or_else(|| anyhow!("sbatch failed: {}", said.trim()))
 }
 
 /// Cancels jobs.
 ///
 /// # Errors
 /// When scancel is not installed or fails.
-pub fn cancel(jobs: &[u64]) -> Result<(), SlurmError> {
+pub fn cancel(jobs: &[u64]) -> Result<()> {
     answer(Command::new("scancel").args(jobs.iter().map(u64::to_string))).map(drop)
 }
 
@@ -273,7 +247,7 @@ pub struct Task {
 ///
 /// # Errors
 /// When squeue is not installed or fails.
-pub fn tasks() -> Result<Vec<Task>, SlurmError> {
+pub fn tasks() -> Result<Vec<Task>> {
     let format = "%F|%K|%T|%N|%M|%r";
     let said = answer(Command::new("squeue").args(["--me", "--noheader", "--array", "--format", format]))?;
     Ok(said.lines().filter_map(task).collect())
@@ -294,15 +268,20 @@ fn task(line: &str) -> Option<Task> {
 }
 
 /// Runs a command of Slurm, and returns its output.
-fn answer(command: &mut Command) -> Result<String, SlurmError> {
+fn answer(command: &mut Command) -> Result<String> {
     let program = command.get_program().to_string_lossy().into_owned();
     let output = command.output().map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SlurmError::Missing { program: program.clone() },
-        _ => SlurmError::Start { program: program.clone(), source },
+        std::io::ErrorKind::NotFound => {
+            let instead = instead(&program);
+            usage(format!(
+                "{program} is not installed, so this machine is not part of a Slurm cluster{instead}"
+            ))
+        }
+        _ => anyhow!("{program} can't be started: {source}"),
     })?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr).trim().replace('\n', "; ");
-        return Err(SlurmError::Refused { program, said });
+        bail!("{program} failed: {said}");
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

@@ -7,10 +7,10 @@
 use super::format::{Form, print_page};
 use super::run::Spec;
 use super::sheet::Style;
-use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
+use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, Step, Task};
 use super::table::{Grid, print_command, print_text, print_texts, shown};
-use super::{DONE, interrupt};
-use anyhow::{Result, bail};
+use super::{DONE, interrupt, usage};
+use anyhow::Result;
 use clap::Args;
 use harness::experiment::{Runner, provenance};
 use harness::files::{write_bytes, write_whole};
@@ -29,15 +29,6 @@ use std::process::ExitCode;
 const FOLDER: &str = "jobs";
 /// A job's description in its folder.
 const DESCRIPTION: &str = "job.json";
-
-/// Arguments that can't be submitted.
-#[derive(Debug, thiserror::Error)]
-pub enum SubmitError {
-    #[error("{place}: {reason}")]
-    Config { place: String, reason: String },
-    #[error("nothing to submit: every run of {0} is done")]
-    AllDone(String),
-}
 
 #[derive(Args)]
 pub struct Submit {
@@ -81,7 +72,7 @@ impl Submit {
         let plan = Runner::new(registry, threads, &provenance, &Silent).plan(&experiment)?;
         let to_do = plan.iter().filter(|planned| !planned.is_settled()).count();
         if to_do == 0 {
-            bail!(SubmitError::AllDone(experiment.name));
+            return Err(usage(format!("nothing to submit: every run of {} is done", experiment.name)));
         }
         let resources = self.resources()?;
         let episodes: usize = experiment.simulated().iter().map(|(_, of)| of.episodes as usize).sum();
@@ -146,7 +137,7 @@ impl Submit {
                     let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
                     let place = format!("{}{}", path.display(), at.unwrap_or_default());
                     let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
-                    SubmitError::Config { place, reason }
+                    usage(format!("{place}: {reason}"))
                 })?
             }
         };
@@ -167,7 +158,7 @@ impl Submit {
         }
         resources.options.extend(self.options.iter().cloned());
         if let (Some(path), Err(reason)) = (&self.config, resources.check()) {
-            bail!(SubmitError::Config { place: path.display().to_string(), reason });
+            return Err(usage(format!("{}: {reason}", path.display())));
         }
         Ok(resources)
     }
@@ -298,9 +289,4 @@ fn logs(folder: &Path, step: Step) -> BTreeMap<Option<u32>, String> {
         Some((index, last.to_owned()))
     };
     entries.filter_map(read).collect()
-}
-
-/// Whether an error is the user's.
-pub fn is_usage(error: &anyhow::Error) -> bool {
-    error.is::<SubmitError>() || matches!(error.downcast_ref(), Some(SlurmError::Missing { .. }))
 }

@@ -96,18 +96,13 @@ pub enum ExperimentError {
          simulation.actuations_per_episode)"
     )]
     NoTraining,
-    /// The dataset, its frames or the training do not fit in memory or on the disk. The text is the message.
+    /// The dataset, its frames or the training do not fit in memory or on the disk, the first of several runs could not
+    /// prepare their data, or the run's predictions come from another program. The text is the message.
     #[error("{0}")]
-    NoRoom(String),
-    /// The data that several runs share could not be prepared. The first of these runs tried it.
-    #[error("{0}")]
-    Preparation(String),
+    Failed(String),
     /// The threads of a job can't be started.
     #[error("no threads can be started: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
-    /// The run's predictions come from another program.
-    #[error("this run's model is one of another program, which the harness can't train")]
-    NotTrained,
     /// The predictions of an external model can't become a run.
     #[error(transparent)]
     Submission(#[from] SubmissionError),
@@ -448,7 +443,7 @@ impl<'a> Runner<'a> {
         let name = source.dataset.name();
         let (needed, available) = (Samples::bytes(layout, samples, frames), memory::within_reach());
         if needed > available {
-            return Err(ExperimentError::NoRoom(format!(
+            return Err(ExperimentError::Failed(format!(
                 "the dataset {name} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
                  simulation.episodes or simulation.actuations_per_episode",
                 needed as f64 / 1e9,
@@ -460,7 +455,7 @@ impl<'a> Runner<'a> {
         }
         let (needed, folder) = (frame_bytes(layout, samples), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
-            return Err(ExperimentError::NoRoom(format!(
+            return Err(ExperimentError::Failed(format!(
                 "the frames of the dataset {name} take {:.1} GB of disk while it is used, and only {:.1} GB are free \
                  in {}; make room, or lower simulation.episodes or simulation.actuations_per_episode",
                 needed as f64 / 1e9,

@@ -127,7 +127,7 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
             (reason, command.filter(|_| !lacks_rows))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
-        Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
+        Err(FigureError::Simulation(error @ SimulationError::NoRenderer(_))) => {
             (format!("It could not be rendered: {error}."), None)
         }
         Err(error) => return Err(error),

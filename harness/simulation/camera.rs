@@ -289,8 +289,11 @@ impl<'s> SceneRenderer<'s> {
     pub fn render(&mut self, state: &[f64]) -> Result<RgbImage, SimulationError> {
         let expected = self.scene.rest().len();
         if state.len() != expected {
-            let scene = self.scene.name.clone();
-            return Err(SimulationError::StateSize { scene, found: state.len(), expected });
+            return Err(SimulationError::Other(format!(
+                "a state of {} values does not fit {}, which has {expected} position coordinates",
+                state.len(),
+                self.scene.name
+            )));
         }
         write_state(state, &mut self.data);
         self.data.forward();
@@ -320,7 +323,9 @@ fn check_size(width: u32, height: u32) -> Result<(), SimulationError> {
     if range.contains(&width) && range.contains(&height) {
         return Ok(());
     }
-    Err(SimulationError::PictureSize { width, height, max: MAX_PICTURE_SIDE })
+    Err(SimulationError::Argument(format!(
+        "a picture of {width} x {height} pixels is out of range: each side must be 1 to {MAX_PICTURE_SIDE}"
+    )))
 }
 
 /// Returns a copy of the model with shadows and MuJoCo's default visual quality, which the models lower for speed.

@@ -53,7 +53,7 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
     notes.extend(unrecorded_forces(scene));
     notes.extend(unrendered_geoms(scene, data));
     let rendering = match time_rendering(scene, data) {
-        Err(error @ SimulationError::NoRenderer { .. }) => {
+        Err(error @ SimulationError::NoRenderer(_)) => {
             notes.push(format!("rendering was not tried: {error}"));
             None
         }

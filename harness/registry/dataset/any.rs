@@ -59,10 +59,12 @@ impl AnyDataset {
             _ if all.iter().any(|one| one == name) => Self::at(&root.join(name)),
             [only] => Self::at(&root.join(only)),
             _ => {
-                let is_one_of_several = !there.is_empty();
-                let there = if is_one_of_several { there } else { all };
-                let (name, root) = (name.to_owned(), root.to_owned());
-                Err(DatasetError::NotNamed { name, root, is_one_of_several, there })
+                let (count, there) = if there.is_empty() { ("none", all) } else { ("more than one", there) };
+                let there = if there.is_empty() { "no datasets".to_owned() } else { there.join(", ") };
+                Err(DatasetError::NotNamed(format!(
+                    "{count} of the datasets in {} has a name that begins with '{name}'; there are {there}",
+                    root.display()
+                )))
             }
         }
     }
