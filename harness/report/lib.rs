@@ -431,24 +431,17 @@ fn clips(
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<(Vec<Part<clips::Clip>>, Vec<clips::Frames>), FigureError> {
-    let own = scenarios.iter().map(|scenario| Shot::of_the_paper(*scenario));
+    let own = scenarios.iter().map(|scenario| (Shot::of_the_paper(*scenario), true));
+    let others = Shot::others(analysis, asked).into_iter().map(|shot| (shot, false));
     let (mut clips, mut frames, mut absent) = (Vec::new(), Vec::new(), BTreeSet::new());
-    for shot in own {
-        match part(clips::film(&shot, progress), asked)? {
-            Part::Absent(reason) => drop(absent.insert(reason)),
-            Part::There((clip, pictures)) => {
-                clips.push(Part::There(clip));
-                frames.push(pictures);
-            }
-        }
-    }
-    for shot in Shot::others(analysis, asked) {
+    for (shot, is_of_the_paper) in own.chain(others) {
         match part(clips::film(&shot, progress), asked) {
             Ok(Part::Absent(reason)) => drop(absent.insert(reason)),
             Ok(Part::There((clip, pictures))) => {
                 clips.push(Part::There(clip));
                 frames.push(pictures);
             }
+            Err(error) if is_of_the_paper => return Err(error),
             // The world's files may be gone, or have changed since the runs.
             Err(error) => {
                 let reason = format!("The world {} could not be filmed: {error}.", shot.scenario);
