@@ -571,7 +571,8 @@ impl Analysis {
         for sql in queries {
             // A wrong query is refused when it is asked.
             let Ok(query) = self.parsed(sql) else { continue };
-            for table in tables_of(&query) {
+            let read = |table: &Table| query.conditions(table.name()).is_some();
+            for table in Table::ALL.into_iter().filter(read) {
                 self.expected.rows.entry(table).or_default().extend(conditions(&query, table));
             }
             self.expected.queries.push(query);
@@ -850,9 +851,4 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     let note = |count: usize, what: &str| (count > 0).then(|| format!("left out: {count} {what}"));
     let notes = [note(older, "runs of an older method"), note(twice, "runs that were done again since")];
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
-}
-
-/// The tables that a query reads.
-fn tables_of(query: &Query) -> impl Iterator<Item = Table> {
-    Table::ALL.into_iter().filter(|table| query.conditions(table.name()).is_some())
 }

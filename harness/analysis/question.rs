@@ -150,7 +150,7 @@ impl Question {
         rows.extend(skills(&rows));
         let undefined = undefined(analysis, &rows, &self.of);
         let mut means = analysis.means_of(&rows, &self.by, self.over)?;
-        if self.asks_for(Metric::SkillHorizon) {
+        if self.metrics.iter().any(|name| name == Metric::SkillHorizon.name()) {
             let errors = self.with_all_horizons();
             let table = errors.read(analysis)?;
             let rows = errors.rows(analysis, &table)?;
@@ -187,11 +187,6 @@ impl Question {
             answer.subtract(base)?;
         }
         Ok(answer)
-    }
-
-    /// Whether a metric is asked for by its name.
-    fn asks_for(&self, metric: Metric) -> bool {
-        self.metrics.iter().any(|name| name == metric.name())
     }
 
     /// The question whose rows are the errors at all horizons.
