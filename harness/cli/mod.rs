@@ -42,7 +42,6 @@ use clap_complete::Shell;
 use harness::analysis::AnalysisError;
 use harness::catalog::QueryError;
 use harness::claims::ClaimsError;
-use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
 use harness::experiment::{
     ExperimentError, ModelError, RolloutError, SubmissionError, describe, results as results_folder,
@@ -655,7 +654,6 @@ fn usage(message: impl Into<String>) -> anyhow::Error {
 /// Whether the error is that a signal cancelled the work.
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
-        || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
 }
 
 /// Whether the error is in the arguments, the spec or the query, so that the exit code is [`USAGE`].

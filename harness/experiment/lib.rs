@@ -24,7 +24,7 @@ pub use search::{Best, best};
 pub use simulator::{FittedTo, Replay, SimulatorError};
 pub use worlds::results;
 
-use crate::collection::{CollectionError, collect, collect_together, dataset_of};
+use crate::collection::{collect, collect_together, dataset_of};
 use crate::shard::Shard;
 use evaluate::References;
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge, models};
@@ -69,9 +69,6 @@ pub enum ExperimentError {
     /// The dataset can't be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The episodes can't be collected.
-    #[error(transparent)]
-    Collection(#[from] CollectionError),
     /// The training failed.
     #[error(transparent)]
     Learning(#[from] LearningError),
@@ -172,7 +169,7 @@ impl Source {
 
     /// Returns the number of samples, also of those for the test.
     fn len(&self) -> usize {
-        self.dataset.len() + self.test.as_ref().map_or(0, AnyDataset::len)
+        self.dataset.samples() + self.test.as_ref().map_or(0, AnyDataset::samples)
     }
 
     /// Returns the scene of the test; `None` if it is imported.
@@ -519,7 +516,7 @@ impl ExperimentError {
         match self {
             Self::Cancelled | Self::Learning(LearningError::Cancelled) => true,
             Self::Dataset(error) => error.is_cancelled(),
-            Self::Collection(error) => error.is_cancelled(),
+            Self::Simulation(error) => matches!(error, SimulationError::Cancelled { .. }),
             _ => false,
         }
     }

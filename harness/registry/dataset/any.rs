@@ -17,16 +17,6 @@ impl From<Dataset> for AnyDataset {
     }
 }
 
-impl Dataset {
-    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
-    ///
-    /// # Errors
-    /// See [`AnyDataset::load`].
-    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        AnyDataset::from(self.clone()).load(frames, progress)
-    }
-}
-
 /// A simulated or imported dataset on disk.
 #[derive(Debug, Clone)]
 pub enum AnyDataset {
@@ -78,16 +68,11 @@ impl AnyDataset {
     }
 
     /// Returns the number of samples in the whole dataset.
-    pub fn len(&self) -> usize {
+    pub fn samples(&self) -> usize {
         match self {
-            Self::Simulated(dataset) => dataset.len(),
-            Self::Imported(dataset) => dataset.len(),
+            Self::Simulated(dataset) => dataset.samples(),
+            Self::Imported(dataset) => dataset.samples(),
         }
-    }
-
-    /// Whether the dataset has no samples.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Returns the layout of the samples.
@@ -126,7 +111,7 @@ impl AnyDataset {
         frames: FramePlace,
         progress: &dyn Progress,
     ) -> Result<Samples, DatasetError> {
-        let all = self.len() + test.map_or(0, Self::len);
+        let all = self.samples() + test.map_or(0, Self::samples);
         let layout = match (self, test) {
             (Self::Simulated(own), Some(Self::Simulated(test))) if own.layout() != test.layout() => {
                 Arc::new(own.layout().shared_with(test.layout()))

@@ -59,13 +59,8 @@ impl Imported {
     }
 
     /// Returns the number of samples in the whole dataset.
-    pub fn len(&self) -> usize {
+    pub fn samples(&self) -> usize {
         self.content.samples().sum()
-    }
-
-    /// Whether the dataset has no samples.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Returns the layout of the samples.
