@@ -1,7 +1,8 @@
 //! Datasets of real simulations: they do not depend on threads or interruptions, and are read as they were written.
 
 use finger::{ARM_JOINTS, FRAME_LEN, JOINTS};
-use harness_experiment::collection::{CollectionError, collect, dataset_of};
+use harness_experiment::ExperimentError;
+use harness_experiment::collection::{collect, dataset_of};
 use harness_ops::frames::{Frames, SampleFrames};
 use harness_registry::dataset::{AnyDataset, CompiledModel, Dataset, DatasetError};
 use harness_samples::{FramePlace, Normalizers, Partition, Recording, Sample, Samples, ends, sequences};
@@ -52,6 +53,10 @@ impl Collected {
 
     fn episode(&self, index: u32) -> PathBuf {
         self.dataset.folder().join(format!("episode_{index:05}.parquet"))
+    }
+
+    fn load(&self, frames: FramePlace) -> Result<Samples, DatasetError> {
+        AnyDataset::from(self.dataset.clone()).load(frames, &Silent)
     }
 
     fn collect_again(&self) -> usize {
@@ -170,7 +175,7 @@ fn an_episode_comes_back_as_it_was_simulated() {
     let without_frames = Episode { images: vec![Vec::new(); expected.images.len()], ..expected.clone() };
     assert!(collected.dataset.read(2, false).unwrap() == without_frames);
 
-    let samples = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
+    let samples = collected.load(FramePlace::Memory).unwrap();
     let (first, plane) = (samples.episodes()[2].start, FRAME_LEN / IMAGE_CHANNELS);
     for (row, frame) in expected.image(Modality::VISION).chunks(FRAME_LEN).enumerate() {
         // Frames are stored pixel by pixel, and kept in memory channel by channel.
@@ -231,7 +236,7 @@ fn a_truncated_episode_is_noticed_and_alone_made_again() {
         let whole = std::fs::read(collected.episode(3)).unwrap();
         std::fs::write(collected.episode(3), &whole[..keep]).unwrap();
         assert_eq!(collected.dataset.missing(), [3], "after {keep} bytes");
-        assert!(collected.dataset.load(FramePlace::Memory, &Silent).is_err());
+        assert!(collected.load(FramePlace::Memory).is_err());
         assert_eq!(collected.collect_again(), 1);
         assert!(contents(collected.dataset.folder()) == before);
     }
@@ -275,7 +280,7 @@ fn a_simulation_that_diverges_is_an_error_and_leaves_no_episode() {
     let root = tempfile::tempdir().unwrap();
     let dataset = dataset_of(root.path(), &scene, &short());
     let error = collect(&dataset, &scene, 2, &Silent).unwrap_err();
-    assert!(matches!(error, CollectionError::Simulation(SimulationError::Diverged { .. })), "{error}");
+    assert!(matches!(error, ExperimentError::Simulation(SimulationError::Diverged { .. })), "{error}");
     assert!(error.to_string().contains("diverged"), "{error}");
     let lock = format!("{UNFINISHED}lock");
     assert_eq!(
@@ -308,7 +313,7 @@ fn a_cancelled_collection_goes_on_from_the_whole_episodes() {
     // This is in the middle of the second episode.
     let error = collect(&dataset, &scene, 1, &Impatient(AtomicU64::new(30))).unwrap_err();
     assert!(
-        matches!(error, CollectionError::Simulation(SimulationError::Cancelled { episode: 1 })),
+        matches!(error, ExperimentError::Simulation(SimulationError::Cancelled { episode: 1 })),
         "{error}"
     );
     assert_eq!(dataset.missing(), [1, 2, 3]);
@@ -380,7 +385,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 #[test]
 fn normalized_values_restore_to_what_was_recorded() {
     let samples: Arc<Samples> =
-        Arc::new(Collected::new(Scenario::CLUTTERED, 2).dataset.load(FramePlace::Memory, &Silent).unwrap());
+        Arc::new(Collected::new(Scenario::CLUTTERED, 2).load(FramePlace::Memory).unwrap());
     let at = samples.partition(&Split::default(), &Window::TRANSITION).unwrap().training;
     let scalings = Modality::BUILT_IN
         .iter()
@@ -421,8 +426,8 @@ fn normalized_values_restore_to_what_was_recorded() {
 fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
     let collected = Collected::new(Scenario::CLUTTERED, 2);
     let before = contents(collected.dataset.folder());
-    let memory = collected.dataset.load(FramePlace::Memory, &Silent).unwrap();
-    let disk = collected.dataset.load(FramePlace::Disk, &Silent).unwrap();
+    let memory = collected.load(FramePlace::Memory).unwrap();
+    let disk = collected.load(FramePlace::Disk).unwrap();
     assert_eq!(memory.image(Modality::VISION).len(), memory.len() * FRAME_LEN);
     assert!(disk.image(Modality::VISION) == memory.image(Modality::VISION));
     // This is often enough that pages are released in between.
@@ -440,7 +445,7 @@ fn frames_on_disk_are_those_in_memory_and_leave_no_file() {
     );
     assert_eq!(disk.vectors(Modality::CONTACT_FORCE), memory.vectors(Modality::CONTACT_FORCE));
     assert!(contents(collected.dataset.folder()) == before, "the file has no name, even while it is used");
-    assert!(!collected.dataset.load(FramePlace::Nowhere, &Silent).unwrap().has_frames());
+    assert!(!collected.load(FramePlace::Nowhere).unwrap().has_frames());
 }
 
 #[test]

@@ -844,7 +844,7 @@ fn bad_batches_are_refused_and_add_nothing() {
     let before = evaluation.rows();
 
     let error = evaluation.add(&good[1..], &good).unwrap_err();
-    assert_eq!(error, MetricsError::Shape { what: "the reference", values: 39, width: 20 });
+    assert!(error.to_string().starts_with("the reference has 39 values, not a whole number of rows of 20;"));
     let error = evaluation.add(&good, &good[..JOINTS]).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -872,7 +872,8 @@ fn persistence_repeats_what_is_sensed() {
 #[test]
 fn training_mean_is_predicted_for_every_sample() {
     let mut mean = TrainingMean::new(2);
-    assert_eq!(mean.predict(1), Err(MetricsError::NoSamples { what: "the training mean" }));
+    let error = mean.predict(1).unwrap_err();
+    assert_eq!(error.to_string(), "the training mean has no training samples; add at least one");
     mean.add(&[1.0, 10.0, 2.0, 20.0]).unwrap();
     mean.add(&[6.0, 0.0]).unwrap();
     assert!(mean.add(&[1.0]).is_err() && mean.add(&[f32::NAN, 0.0]).is_err());
@@ -944,14 +945,15 @@ fn ridge_fits_batches_as_the_whole() {
 fn ridge_refuses_what_has_no_answer() {
     let (x, y) = ([1.0, 2.0, 2.0, 4.0, 3.0, 6.0], [1.0, 2.0, 3.0]);
     let fit = |alpha| Ridge::fit(&x, 2, &y, 1, alpha);
-    assert_eq!(fit(0.0), Err(MetricsError::Singular { column: 1, alpha: 0.0 }));
+    let refused = |fitted: Result<Ridge, MetricsError>| fitted.unwrap_err().to_string();
+    assert!(refused(fit(0.0)).contains("linearly dependent at column 1 and alpha is 0;"));
     assert!(fit(1e-3).is_ok());
-    assert_eq!(fit(-1.0), Err(MetricsError::Alpha(-1.0)));
+    assert!(refused(fit(-1.0)).contains("alpha is -1;"));
     assert!(fit(f64::NAN).is_err());
     // A constant input is collinear with the intercept.
     let constant = Ridge::fit(&[0.5, 0.5, 0.5], 1, &y, 1, 0.0);
-    assert_eq!(constant, Err(MetricsError::Singular { column: 0, alpha: 0.0 }));
-    assert_eq!(RidgeSums::new(2, 1).solve(1.0), Err(MetricsError::NoSamples { what: "ridge regression" }));
+    assert!(refused(constant).contains("linearly dependent at column 0 and alpha is 0;"));
+    assert!(refused(RidgeSums::new(2, 1).solve(1.0)).starts_with("ridge regression has no training samples"));
     assert!(Ridge::fit(&x, 2, &y[..2], 1, 1.0).is_err());
     assert!(Ridge::fit(&[f32::NAN; 6], 2, &y, 1, 1.0).is_err());
     assert!(fit(1.0).unwrap().predict(&x[..3]).is_err());

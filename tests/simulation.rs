@@ -850,10 +850,11 @@ fn a_rendered_scene_shows_what_the_camera_saw() {
     let far = small.as_raw().iter().zip(frame).filter(|(a, b)| a.abs_diff(**b) > 40).count();
     assert!(far < FRAME_LEN / 10, "{far} of {FRAME_LEN} values differ");
     assert_ne!(renderer.render(&states[5]).unwrap(), picture);
-    assert!(matches!(renderer.render(&[0.0; 3]), Err(SimulationError::StateSize { found: 3, .. })));
+    let refused = renderer.render(&[0.0; 3]).unwrap_err();
+    assert!(refused.to_string().starts_with("a state of 3 values does not fit "), "{refused}");
     for (width, height) in [(0, 64), (64, 10_000)] {
         let refused = SceneRenderer::new(&scene, width, height).err().unwrap();
-        assert!(matches!(refused, SimulationError::PictureSize { .. }), "{refused}");
+        assert!(matches!(refused, SimulationError::Argument(_)), "{refused}");
     }
 }
 
@@ -863,7 +864,7 @@ fn without_a_driver_rendering_is_an_error() {
     const DRIVERS: &str = "__EGL_VENDOR_LIBRARY_FILENAMES";
     if std::env::var_os(DRIVERS).is_some_and(|drivers| drivers == "/nonexistent") {
         let error = Simulator::new(&scene(Scenario::EMPTY), &short()).err().unwrap();
-        assert!(matches!(error, SimulationError::NoRenderer { .. }), "{error}");
+        assert!(matches!(error, SimulationError::NoRenderer(_)), "{error}");
         assert!(error.to_string().contains("libegl"), "{error}");
         return;
     }

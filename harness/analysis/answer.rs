@@ -130,8 +130,10 @@ impl Answer {
         let table = self.table();
         let sides = table.sides();
         let Some(side) = sides.iter().find(|side| side.name() == base) else {
-            let columns = sides.iter().map(|side| side.name()).collect();
-            return Err(AnalysisError::UnknownColumn { wanted: base.to_owned(), columns });
+            let columns = sides.iter().map(|side| side.name()).collect::<Vec<_>>().join("', '");
+            return Err(AnalysisError::Asked(format!(
+                "there is no column '{base}'; the columns are '{columns}'"
+            )));
         };
         let side = (*side).clone();
         let mut lone: Vec<&Side> = sides.into_iter().filter(|other| other.baseline.is_none()).collect();

@@ -43,9 +43,8 @@ pub use subset::Subset;
 pub use undefined::Undefined;
 
 use harness_catalog::{QueryError, RunTable, answer, conditions, one_after_the_other, table};
-use harness_metrics::Metric;
 use harness_registry::{Asked, Recorded, Registry, RunRecord, Status, forces_of};
-use harness_shared::{meant, nearest};
+use harness_shared::nearest;
 use harness_spec::{Layout, Origin, QUICK, RunSpec, Scenario};
 use harness_sql::{Condition, Query, implies};
 use harness_tables::lazily;
@@ -109,150 +108,25 @@ pub enum AnalysisError {
         /// The values that its finished runs have for these settings.
         there: Vec<Difference>,
     },
-    /// A key is neither one of those of every run, nor a setting, nor an axis of a run.
-    #[error(
-        "there is no key '{wanted}'{meant}allowed: {}, a setting, such as input or network.hidden, or an axis of these \
-         runs: {}",
-        Key::ALL.map(Key::name).join(", "),
-        if axes.is_empty() { "none".to_owned() } else { axes.join(", ") }
-    )]
-    UnknownKey {
-        /// The key.
-        wanted: String,
-        /// The key that was probably meant, in words; see [`meant`].
-        meant: String,
-        /// The axes that runs have labels of.
-        axes: Vec<String>,
-    },
-    /// No run has a setting with the requested key.
-    #[error(
-        "no run has a setting '{wanted}'; {}",
-        nearest.as_ref().map_or_else(
-            || "use a key of the spec, such as training.batch_size".to_owned(),
-            |key| format!("did you mean '{key}'?")
-        )
-    )]
-    UnknownSetting {
-        /// The requested key.
-        wanted: String,
-        /// The key that was probably meant.
-        nearest: Option<String>,
-    },
-    /// No run has the requested value of a setting.
-    #[error("no {run} has {setting}; {run}s have {there}")]
-    UnknownValue {
-        /// What the runs are: finished or planned ones.
-        run: &'static str,
-        /// The requested setting.
-        setting: Setting,
-        /// The values that the runs have.
-        there: Box<Difference>,
-    },
-    /// No run predicts so far ahead.
-    #[error("no run predicts {wanted} ahead; the runs predict {} ahead", numbers(horizons))]
-    UnknownHorizon {
-        /// The requested number of samples or time.
-        wanted: String,
-        /// The horizons of the runs, in samples.
-        horizons: BTreeSet<usize>,
-    },
-    /// A model is none of the harness, and no run is of a model of that name.
-    #[error(
-        "there is no model '{wanted}'{}there are {}",
-        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()), known.join(", ")
-    )]
-    UnknownModel {
-        /// The requested name.
-        wanted: String,
-        /// The models that there are.
-        known: Vec<String>,
-    },
-    /// No model got only these inputs.
-    #[error(
-        "no model got only {wanted} of its run's inputs; {}",
-        if known.is_empty() { "all got all inputs".into() } else { format!("some got only {}", with_plus(known).join(", ")) }
-    )]
-    UnknownGiven {
-        /// The requested inputs, with commas between them.
-        wanted: String,
-        /// The inputs that models got.
-        known: Vec<String>,
-    },
-    /// A metric is none of the harness, and no run has it as a metric of the user.
-    #[error(
-        "there is no metric '{wanted}'{}{}{}",
-        metric_meant(wanted, own), Metric::known(), own.iter().map(|own| format!(", {own}")).collect::<String>()
-    )]
-    UnknownMetric {
-        /// The name.
-        wanted: String,
-        /// The metrics that users added to runs.
-        own: BTreeSet<String>,
-    },
-    /// No run predicts a modality.
-    #[error(
-        "no run predicts '{wanted}'{}they predict {}",
-        meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()),
-        known.iter().cloned().collect::<Vec<_>>().join(", ")
-    )]
-    UnknownModality {
-        /// The name.
-        wanted: String,
-        /// What the runs predict.
-        known: BTreeSet<String>,
-    },
-    /// No column has the heading from which the others are to be differences.
-    #[error("there is no column '{wanted}'; the columns are '{}'", columns.join("', '"))]
-    UnknownColumn {
-        /// The heading.
-        wanted: String,
-        /// The headings of the columns.
-        columns: Vec<String>,
-    },
-    /// Columns of different scenarios can't be subtracted.
-    #[error(
-        "--against compares runs on the same data, and each scenario has its own; choose one with --where \
-         scenario=NAME, and leave scenario out"
-    )]
-    Scenarios,
-    /// A key tells the rows of a table apart and can't tell its columns apart.
-    #[error(
-        "the rows of a table differ in their {0}, so {0} can't be in --by; `harness plot` distinguishes any key"
-    )]
-    OfRows(&'static str),
+    /// No run has a key, a setting, a value, a horizon, a model, inputs, a metric or a column that is asked for, or the
+    /// question can't be answered. The text is the message.
+    #[error("{0}")]
+    Asked(String),
+    /// No run predicts a modality. The text is the message.
+    #[error("{0}")]
+    UnknownModality(String),
     /// There are no finished runs. The field is a command that makes some.
     #[error("there are no finished runs to compare; `{0}` makes some")]
     Nothing(String),
-    /// No run has the requested metrics.
-    #[error(
-        "{}no run has these metrics for this task, model, modality and horizon; `{list}` lists those that runs have",
-        reasons.iter().map(|reason| format!("{reason}; ")).collect::<String>()
-    )]
-    NoMeans {
-        /// The reasons that are known.
-        reasons: Vec<String>,
-        /// A command that lists the metrics that runs have.
-        list: String,
-    },
+    /// No run has the requested metrics. The text is the message.
+    #[error("{0}")]
+    NoMeans(String),
     /// The runs of an experiment differ in settings that must be equal.
     #[error(transparent)]
     Mixed(#[from] Mixed),
     /// A query failed, or a table is damaged.
     #[error(transparent)]
     Query(#[from] QueryError),
-}
-
-/// Says which metric was probably meant.
-fn metric_meant(wanted: &str, own: &BTreeSet<String>) -> String {
-    let mut known: Vec<&str> = own.iter().map(String::as_str).collect();
-    known.extend(Metric::all().map(|metric| metric.name()));
-    meant(wanted, &known)
-}
-
-/// Numbers of samples, separated by commas.
-fn numbers(all: &BTreeSet<usize>) -> String {
-    let listed = all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
-    format!("{listed} sample{}", if listed == "1" { "" } else { "s" })
 }
 
 /// Says which experiments have finished runs, and which of them was probably meant. If `wanted` is the path of a spec,
@@ -368,11 +242,6 @@ impl Expected {
         let seen = conditions(query, table);
         !seen.is_empty() && seen.iter().all(|condition| rows.iter().any(|wide| implies(condition, wide)))
     }
-}
-
-/// The names of sets of inputs as the command line takes them, with plus signs.
-fn with_plus(given: &[String]) -> Vec<String> {
-    given.iter().map(|names| names.replace(',', "+")).collect()
 }
 
 impl Analysis {
@@ -702,7 +571,8 @@ impl Analysis {
         for sql in queries {
             // A wrong query is refused when it is asked.
             let Ok(query) = self.parsed(sql) else { continue };
-            for table in tables_of(&query) {
+            let read = |table: &Table| query.conditions(table.name()).is_some();
+            for table in Table::ALL.into_iter().filter(read) {
                 self.expected.rows.entry(table).or_default().extend(conditions(&query, table));
             }
             self.expected.queries.push(query);
@@ -915,11 +785,7 @@ fn named<'a>(differences: impl Iterator<Item = &'a Difference>, run: &Run) -> St
 
 /// Checks that some run has each of these settings. A run is an experiment's name and settings, and `kind` says what
 /// the runs are.
-fn check_settings(
-    wanted: &[Setting],
-    runs: &[(&str, &Settings)],
-    kind: &'static str,
-) -> Result<(), AnalysisError> {
+fn check_settings(wanted: &[Setting], runs: &[(&str, &Settings)], kind: &str) -> Result<(), AnalysisError> {
     for setting in wanted.iter().filter(|_| !runs.is_empty()) {
         let about = || runs.iter().filter(|(experiment, _)| setting.is_about(experiment)).map(|run| run.1);
         if let Some(wanted) = setting.experiment.as_ref().filter(|_| about().next().is_none()) {
@@ -930,13 +796,16 @@ fn check_settings(
         }
         let keys: BTreeSet<&str> = about().flat_map(settings::keys).collect();
         if !keys.contains(setting.key.as_str()) {
-            let keys: Vec<&str> = keys.into_iter().collect();
-            let nearest = nearest(&setting.key, &keys).map(str::to_owned);
-            return Err(AnalysisError::UnknownSetting { wanted: setting.key.clone(), nearest });
+            let wanted = &setting.key;
+            let instead = match nearest(wanted, &keys.into_iter().collect::<Vec<_>>()) {
+                Some(key) => format!("did you mean '{key}'?"),
+                None => "use a key of the spec, such as training.batch_size".to_owned(),
+            };
+            return Err(AnalysisError::Asked(format!("no run has a setting '{wanted}'; {instead}")));
         }
         if !about().any(|run| setting.is_met_by(run)) {
-            let there = Box::new(Difference::of(&setting.key, about()));
-            return Err(AnalysisError::UnknownValue { run: kind, setting: setting.clone(), there });
+            let there = Difference::of(&setting.key, about());
+            return Err(AnalysisError::Asked(format!("no {kind} has {setting}; {kind}s have {there}")));
         }
     }
     Ok(())
@@ -982,9 +851,4 @@ fn newest(runs: Vec<Run>) -> (Vec<Run>, Vec<String>) {
     let note = |count: usize, what: &str| (count > 0).then(|| format!("left out: {count} {what}"));
     let notes = [note(older, "runs of an older method"), note(twice, "runs that were done again since")];
     (counted.into_values().collect(), notes.into_iter().flatten().collect())
-}
-
-/// The tables that a query reads.
-fn tables_of(query: &Query) -> impl Iterator<Item = Table> {
-    Table::ALL.into_iter().filter(|table| query.conditions(table.name()).is_some())
 }

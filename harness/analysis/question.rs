@@ -136,7 +136,11 @@ impl Question {
             return Err(AnalysisError::Nothing(analysis.registry.command("run single_to_multi")));
         }
         if self.against.is_some() && self.by.contains(&Key::Scenario) {
-            return Err(AnalysisError::Scenarios);
+            return Err(AnalysisError::Asked(
+                "--against compares runs on the same data, and each scenario has its own; choose one with --where \
+                 scenario=NAME, and leave scenario out"
+                    .to_owned(),
+            ));
         }
         self.check_models(analysis)?;
         self.check_axes(analysis)?;
@@ -146,7 +150,7 @@ impl Question {
         rows.extend(skills(&rows));
         let undefined = undefined(analysis, &rows, &self.of);
         let mut means = analysis.means_of(&rows, &self.by, self.over)?;
-        if self.asks_for(Metric::SkillHorizon) {
+        if self.metrics.iter().any(|name| name == Metric::SkillHorizon.name()) {
             let errors = self.with_all_horizons();
             let table = errors.read(analysis)?;
             let rows = errors.rows(analysis, &table)?;
@@ -161,7 +165,12 @@ impl Question {
         means.retain(|mean| metrics.contains(&mean.of.metric) && self.wants(mean));
         if means.is_empty() {
             let list = "query \"select distinct experiment, task, model, modality, metric from metrics\"";
-            return Err(AnalysisError::NoMeans { reasons: undefined, list: analysis.registry.command(list) });
+            let list = analysis.registry.command(list);
+            let reasons: String = undefined.iter().map(|reason| format!("{reason}; ")).collect();
+            return Err(AnalysisError::NoMeans(format!(
+                "{reasons}no run has these metrics for this task, model, modality and horizon; `{list}` lists those that \
+                 runs have"
+            )));
         }
         let by = if self.by.is_empty() { vec![usual_key(&means)] } else { self.by.clone() };
         let notes = undefined.into_iter().chain(analysis.notes().iter().cloned()).collect();
@@ -178,11 +187,6 @@ impl Question {
             answer.subtract(base)?;
         }
         Ok(answer)
-    }
-
-    /// Whether a metric is asked for by its name.
-    fn asks_for(&self, metric: Metric) -> bool {
-        self.metrics.iter().any(|name| name == metric.name())
     }
 
     /// The question whose rows are the errors at all horizons.
@@ -317,7 +321,13 @@ impl Question {
         let horizons = analysis.horizons()?;
         match is_among(wanted, &horizons) {
             true => Ok(()),
-            false => Err(AnalysisError::UnknownHorizon { wanted: wanted.to_string(), horizons }),
+            false => {
+                let unit = if horizons.iter().eq([&1]) { "sample" } else { "samples" };
+                let horizons = listed(&horizons);
+                Err(AnalysisError::Asked(format!(
+                    "no run predicts {wanted} ahead; the runs predict {horizons} {unit} ahead"
+                )))
+            }
         }
     }
 
@@ -329,10 +339,11 @@ impl Question {
         let known: Vec<&str> = models::ALL.into_iter().chain(external).collect();
         match self.models.iter().find(|wanted| !known.contains(&wanted.as_str())) {
             None => Ok(()),
-            Some(wanted) => {
-                let known = known.into_iter().map(str::to_owned).collect();
-                Err(AnalysisError::UnknownModel { wanted: wanted.clone(), known })
-            }
+            Some(wanted) => Err(AnalysisError::Asked(format!(
+                "there is no model '{wanted}'{}there are {}",
+                meant(wanted, &known),
+                known.join(", ")
+            ))),
         }
     }
 
@@ -345,8 +356,12 @@ impl Question {
         let axes: BTreeSet<&str> = runs().flat_map(Run::axes).collect();
         let known: BTreeSet<&str> = runs().flat_map(Run::keys).chain(Key::ALL.map(Key::name)).collect();
         let meant = meant(wanted, &known.into_iter().collect::<Vec<_>>());
-        let axes = axes.into_iter().map(str::to_owned).collect();
-        Err(AnalysisError::UnknownKey { wanted: wanted.to_owned(), meant, axes })
+        let axes = if axes.is_empty() { "none".to_owned() } else { listed(&axes) };
+        let keys = Key::ALL.map(Key::name).join(", ");
+        Err(AnalysisError::Asked(format!(
+            "there is no key '{wanted}'{meant}allowed: {keys}, a setting, such as input or network.hidden, or an axis of \
+             these runs: {axes}"
+        )))
     }
 
     fn check_given(&self, analysis: &Analysis) -> Result<(), AnalysisError> {
@@ -361,7 +376,15 @@ impl Question {
         if known.contains(wanted) {
             return Ok(());
         }
-        Err(AnalysisError::UnknownGiven { wanted: wanted.clone(), known })
+        let known = match known.as_slice() {
+            [] => "all got all inputs".to_owned(),
+            // The command line takes names with plus signs between them.
+            known => {
+                let known: Vec<String> = known.iter().map(|names| names.replace(',', "+")).collect();
+                format!("some got only {}", known.join(", "))
+            }
+        };
+        Err(AnalysisError::Asked(format!("no model got only {wanted} of its run's inputs; {known}")))
     }
 
     /// Returns an error if a metric is none of the harness and no run has it as a user's own, or if no run predicts a
@@ -373,15 +396,27 @@ impl Question {
         // Other rows may have them.
         let there = if metric.or(of).is_some() { there(analysis)? } else { Vec::new() };
         if let Some(wanted) = metric.filter(|name| !there.iter().any(|one| one.metric == **name)) {
-            let own = there.into_iter().map(|one| one.metric).filter(|name| Metric::named(name).is_none());
-            return Err(AnalysisError::UnknownMetric { wanted: wanted.clone(), own: own.collect() });
+            let own = there.iter().map(|one| &*one.metric).filter(|name| Metric::named(name).is_none());
+            let own: BTreeSet<&str> = own.collect();
+            let all: Vec<&str> =
+                own.iter().copied().chain(Metric::all().map(|metric| metric.name())).collect();
+            let own: String = own.iter().map(|own| format!(", {own}")).collect();
+            return Err(AnalysisError::Asked(format!(
+                "there is no metric '{wanted}'{}{}{own}",
+                meant(wanted, &all),
+                Metric::known()
+            )));
         }
         let predicted = there.iter().filter(|one| one.modality != Modality::LATENT).map(There::predicted);
         let known: BTreeSet<String> = predicted.collect();
         let is_there =
             |name: &String| known.contains(name) || there.iter().any(|one| one.modality.name() == name);
         match of.filter(|name| !is_there(name)) {
-            Some(wanted) => Err(AnalysisError::UnknownModality { wanted: wanted.clone(), known }),
+            Some(wanted) => Err(AnalysisError::UnknownModality(format!(
+                "no run predicts '{wanted}'{}they predict {}",
+                meant(wanted, &known.iter().map(String::as_str).collect::<Vec<_>>()),
+                listed(&known)
+            ))),
             None => Ok(()),
         }
     }
@@ -414,6 +449,11 @@ impl There {
     fn predicted(&self) -> String {
         predicted(self.modality, self.direction.as_deref())
     }
+}
+
+/// The items with commas between them.
+fn listed<T: ToString>(items: &BTreeSet<T>) -> String {
+    items.iter().map(T::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// The metrics that the runs of an analysis have.

@@ -142,8 +142,8 @@ impl Claim {
 
     /// The error about a part of the claim that starts at `place` in its file.
     fn fault(&self, place: Location, problem: String) -> ClaimsError {
-        let (file, id) = (self.file.clone(), self.id().to_owned());
-        ClaimsError::Claim { file, line: place.line(), column: place.column(), id, problem }
+        let (file, id) = (&self.file, self.id());
+        ClaimsError::Claim(format!("{file}:{}:{}: claim '{id}': {problem}", place.line(), place.column()))
     }
 
     /// The scenarios that are judged one by one, or `None` alone if there is one judgment.
@@ -276,31 +276,10 @@ pub enum ClaimsError {
     /// The file of claims can't be read, or is invalid.
     #[error(transparent)]
     File(#[from] SpecError),
-    /// No claim has the wanted id.
-    #[error(
-        "no claim is called '{wanted}'{}the claims are {}",
-        meant(wanted, &ids.iter().map(String::as_str).collect::<Vec<_>>()), ids.join(", ")
-    )]
-    Unknown {
-        /// The wanted id.
-        wanted: String,
-        /// The ids in the file of claims.
-        ids: Vec<String>,
-    },
-    /// A claim's query failed, or its answer does not have the required columns and rows.
-    #[error("{file}:{line}:{column}: claim '{id}': {problem}")]
-    Claim {
-        /// The file.
-        file: String,
-        /// The line of the file where the faulty part starts, counted from 1.
-        line: u64,
-        /// The column where it starts, counted from 1.
-        column: u64,
-        /// The claim's id.
-        id: String,
-        /// What is wrong.
-        problem: String,
-    },
+    /// No claim has a wanted id, a claim's query failed, or its answer does not have the required columns and rows. The
+    /// text is the message.
+    #[error("{0}")]
+    Claim(String),
 }
 
 /// Values by the seed of the dataset, and by seed or episode. For a value of the whole dataset, the second number is 0.
@@ -515,8 +494,11 @@ pub fn corrected<'a, 'b: 'a>(judgments: impl IntoIterator<Item = &'a Judgment<'b
 pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Claim>, ClaimsError> {
     for wanted in wanted {
         if !claims.iter().any(|claim| claim.id() == wanted) {
-            let ids = claims.iter().map(|claim| claim.id().to_owned()).collect();
-            return Err(ClaimsError::Unknown { wanted: wanted.clone(), ids });
+            let ids: Vec<&str> = claims.iter().map(Claim::id).collect();
+            let (meant, ids) = (meant(wanted, &ids), ids.join(", "));
+            return Err(ClaimsError::Claim(format!(
+                "no claim is called '{wanted}'{meant}the claims are {ids}"
+            )));
         }
     }
     Ok(claims.iter().filter(|claim| wanted.is_empty() || wanted.iter().any(|w| w == claim.id())).collect())

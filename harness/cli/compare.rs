@@ -1,15 +1,13 @@
 //! `harness compare`.
 
-use super::DONE;
 use super::asked::Asked;
 use super::format::{Destination, Form};
 use super::sheet::{MOST_COLUMNS, Mark, Sheet, Style};
 use super::table::width;
+use super::{DONE, usage};
 use anyhow::Result;
 use clap::Args;
-use harness::analysis::{
-    AnalysisError, Answer, Comparison, Key, Label, Mean, Place, SIGNIFICANT, Side, Subject, printed,
-};
+use harness::analysis::{Answer, Comparison, Key, Label, Mean, Place, SIGNIFICANT, Side, Subject, printed};
 use harness::metrics::best;
 use harness::numbers::{Natural, enumerated};
 use harness::registry::Registry;
@@ -35,7 +33,11 @@ impl Compare {
         if let Some(key) =
             question.by.iter().find(|key| [Key::Task, Key::Modality, Key::Metric].contains(key))
         {
-            return Err(AnalysisError::OfRows(key.name()).into());
+            let key = key.name();
+            return Err(usage(format!(
+                "the rows of a table differ in their {key}, so {key} can't be in --by; `harness plot` distinguishes any \
+                 key"
+            )));
         }
         let answer = question.ask(registry)?;
         let style = match form {

@@ -1,8 +1,8 @@
 //! The formats in which commands print tables, and files that they write instead.
 
-use super::DONE;
 use super::sheet::Style;
 use super::table::{Grid, shown, width};
+use super::{DONE, usage};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use harness::catalog::{TableFormat, save};
@@ -53,32 +53,20 @@ pub enum Data {
     File(PathBuf),
 }
 
-/// The reason why a table can't be printed.
-#[derive(Debug, thiserror::Error)]
-pub enum FormatError {
-    /// Both options are given.
-    #[error(
-        "--format is the format of the standard output, and the ending of '{}' that of the file; leave out --format or \
-         --output",
-        .0.display()
-    )]
-    Both(PathBuf),
-    /// A column can't be printed.
-    #[error(
-        "the column '{0}' holds bytes, which CSV and JSON can't hold; leave it out, or write Parquet with --output \
-         FILE.parquet"
-    )]
-    Bytes(String),
-}
-
 impl Destination {
     /// What becomes of the table.
     ///
     /// # Errors
     /// When there is a format and a file.
-    pub fn form(&self) -> Result<Form, FormatError> {
+    pub fn form(&self) -> Result<Form> {
         Ok(match (self.format, self.output.clone()) {
-            (Some(_), Some(path)) => return Err(FormatError::Both(path)),
+            (Some(_), Some(path)) => {
+                return Err(usage(format!(
+                    "--format is the format of the standard output, and the ending of '{}' that of the file; leave out \
+                     --format or --output",
+                    path.display()
+                )));
+            }
             (None, Some(path)) => Form::Data(Data::File(path)),
             (None | Some(Format::Text), None) => Form::Page(Style::Text),
             (Some(Format::Markdown), None) => Form::Page(Style::Markdown),
@@ -100,7 +88,10 @@ impl Data {
         match self {
             Self::Printed(_) => {
                 if let Some(column) = format.column_of_bytes(table) {
-                    return Err(FormatError::Bytes(column).into());
+                    return Err(usage(format!(
+                        "the column '{column}' holds bytes, which CSV and JSON can't hold; leave it out, or write Parquet \
+                         with --output FILE.parquet"
+                    )));
                 }
                 let mut text = Vec::new();
                 format.write(table, &mut text)?;

@@ -1,5 +1,6 @@
 //! `harness import`, which the Python package does: this program says how to install and call it.
 
+use super::usage;
 use anyhow::Result;
 use clap::Args;
 use harness::registry::{Registry, quoted};
@@ -19,14 +20,6 @@ pub struct Import {
     output: Option<PathBuf>,
 }
 
-/// The message with the command to call instead.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "`harness import` is a command of the Python package; in a clone of the repository, \
-     `.venv/bin/pip install '.[import]'` installs the package, and then `.venv/bin/harness {0}` imports"
-)]
-pub struct ImportError(String);
-
 impl Import {
     /// Names the command of the Python package that does the same.
     pub fn execute(self, registry: &Registry) -> Result<ExitCode> {
@@ -41,6 +34,10 @@ impl Import {
             let Some(path) = path else { continue };
             words.extend([option.to_owned(), path.to_string_lossy().into_owned()]);
         }
-        Err(ImportError(quoted(words.iter().map(String::as_str))).into())
+        let command = quoted(words.iter().map(String::as_str));
+        Err(usage(format!(
+            "`harness import` is a command of the Python package; in a clone of the repository, `.venv/bin/pip install \
+             '.[import]'` installs the package, and then `.venv/bin/harness {command}` imports"
+        )))
     }
 }

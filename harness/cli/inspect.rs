@@ -5,7 +5,7 @@ use super::layers;
 use super::results::{self, LatentUse, Metrics};
 use super::sheet::{MISSING, Style};
 use super::table::{Grid, print, print_beside, print_command, print_text, shown, width};
-use super::{DONE, submit};
+use super::{DONE, submit, usage};
 use anyhow::Result;
 use clap::Args;
 use harness::catalog;
@@ -123,18 +123,6 @@ struct Listed {
     reason: Option<String>,
 }
 
-/// No run of an experiment has started.
-#[derive(Debug, thiserror::Error)]
-#[error("no run of '{wanted}' has started{meant}`{list}` lists the experiments")]
-pub struct NotStarted {
-    /// The name of the experiment.
-    wanted: String,
-    /// Which experiment was probably meant, in words.
-    meant: String,
-    /// The command that lists all runs.
-    list: String,
-}
-
 /// Refuses the name of an experiment of which there is no run.
 pub fn check_started<'a>(
     records: impl IntoIterator<Item = &'a RunRecord>,
@@ -144,7 +132,8 @@ pub fn check_started<'a>(
     let there: BTreeSet<&str> = records.into_iter().map(|record| record.experiment.as_str()).collect();
     if let Some(wanted) = experiments.iter().find(|name| !there.contains(name.as_str())) {
         let meant = meant(wanted, &there.into_iter().collect::<Vec<_>>());
-        return Err(NotStarted { wanted: wanted.clone(), meant, list: registry.command("ls") }.into());
+        let list = registry.command("ls");
+        return Err(usage(format!("no run of '{wanted}' has started{meant}`{list}` lists the experiments")));
     }
     Ok(())
 }

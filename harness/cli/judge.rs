@@ -5,18 +5,18 @@ use super::results::{self, Metrics};
 use super::run::Spec;
 use super::sheet::Style;
 use super::table::{print_beside, print_command, print_text, width};
-use super::{DONE, interrupt};
+use super::{DONE, interrupt, usage};
 use anyhow::{Result, bail};
 use clap::Args;
 use harness::experiment::{
-    ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Replay, Runner,
-    SubmissionError, provenance,
+    ExperimentError, External, JudgedRun, OpenTask, PredictionTask, Predictions, Replay, Runner, describe,
+    provenance,
 };
 use harness::numbers::counted;
 use harness::registry::{Registry, RunRecord, quoted};
-use harness::simulation::{Knowledge, PositionError, Scene, SimulationError};
+use harness::simulation::{Knowledge, PositionError, Scene};
 use harness::spec::{Definition, Experiment, IMAGE_CHANNELS, Modality, World};
-use harness::tables::{PREDICTED_COLUMNS, TableError, read_predicted};
+use harness::tables::{PREDICTED_COLUMNS, read_predicted};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -24,51 +24,6 @@ use std::sync::Arc;
 
 /// What stands for the predictions of the simulator itself, and the usual name of that model.
 const SIMULATOR: &str = "simulator";
-
-/// Why no task can be judged.
-#[derive(Debug, thiserror::Error)]
-pub enum TaskError {
-    /// The experiment has several tasks.
-    #[error("{experiment} has several tasks; choose one with --cell: {}", names.join(", "))]
-    Several {
-        /// Name of the experiment.
-        experiment: String,
-        /// The names of its tasks.
-        names: Vec<String>,
-    },
-    /// The experiment has no task with this name.
-    #[error("{experiment} has no task '{wanted}'; it has {}", names.join(", "))]
-    Unknown {
-        /// Name of the experiment.
-        experiment: String,
-        /// The wanted name.
-        wanted: String,
-        /// The names of its tasks.
-        names: Vec<String>,
-    },
-    /// The dataset is not complete.
-    #[error(
-        "the dataset {dataset} lacks {missing} of its episodes, so nothing can be judged yet; `{command}` simulates \
-         them"
-    )]
-    NotCollected {
-        /// Name of the dataset.
-        dataset: String,
-        /// Number of missing episodes.
-        missing: usize,
-        /// The command that collects them.
-        command: String,
-    },
-    /// Something is said of the simulator's knowledge, and the predictions are of another model.
-    #[error("{0} is for the word `simulator` instead of a file of predictions")]
-    NotSimulator(&'static str),
-    /// The model has no name.
-    #[error("the model has no name; give it one, for example --model my_gru")]
-    NoModel,
-    /// The file can't be read.
-    #[error(transparent)]
-    File(#[from] TableError),
-}
 
 /// The task to judge, of those of an experiment.
 #[derive(Args)]
@@ -80,15 +35,15 @@ pub struct Choice {
 
 impl Choice {
     /// The chosen task of an experiment.
-    fn of(&self, experiment: &Experiment, tasks: Vec<PredictionTask>) -> Result<PredictionTask, TaskError> {
+    fn of(&self, experiment: &Experiment, tasks: Vec<PredictionTask>) -> Result<PredictionTask> {
         PredictionTask::choose(tasks, self.cell.as_deref()).map_err(|names| {
-            let experiment = experiment.name.clone();
-            match self.cell.clone() {
+            let (experiment, listed) = (&experiment.name, names.join(", "));
+            usage(match &self.cell {
                 Some(wanted) if !names.iter().any(|name| name.starts_with(&format!("{wanted}-"))) => {
-                    TaskError::Unknown { experiment, wanted, names }
+                    format!("{experiment} has no task '{wanted}'; it has {listed}")
                 }
-                _ => TaskError::Several { experiment, names },
-            }
+                _ => format!("{experiment} has several tasks; choose one with --cell: {listed}"),
+            })
         })
     }
 }
@@ -223,23 +178,31 @@ impl Judge {
         let spec = Spec { path: self.path, overrides: self.overrides, quick: self.quick };
         let is_simulator = self.predictions.to_str() == Some(SIMULATOR);
         if let Some(option) = self.known.given().filter(|_| !is_simulator) {
-            return Err(TaskError::NotSimulator(option).into());
+            return Err(usage(format!(
+                "{option} is for the word `simulator` instead of a file of predictions"
+            )));
         }
+        let model = self.model.or_else(|| is_simulator.then(|| self.known.name()));
         let model =
-            self.model.or_else(|| is_simulator.then(|| self.known.name())).ok_or(TaskError::NoModel)?;
+            model.ok_or_else(|| usage("the model has no name; give it one, for example --model my_gru"))?;
         let experiment = spec.load_task()?;
         let (provenance, bars) = (provenance(threads, super::command_line()), Bars::default());
         let runner = Runner::new(registry, threads, &provenance, &bars);
         let task = self.choice.of(&experiment, runner.tasks(&experiment)?)?;
         if let Some((dataset, missing)) = task.uncollected().next() {
-            let (dataset, command) = (dataset.to_owned(), collect(registry, &spec));
-            return Err(TaskError::NotCollected { dataset, missing, command }.into());
+            let command = collect(registry, &spec);
+            return Err(usage(format!(
+                "the dataset {dataset} lacks {missing} of its episodes, so nothing can be judged yet; `{command}` \
+                 simulates them"
+            )));
         }
         let predictions = match is_simulator {
             true => self.known.predictions()?,
             false => {
                 let nearest = task.spec().window.horizon.min(1);
-                Predictions::Rows(read_predicted(&self.predictions, nearest).map_err(TaskError::from)?)
+                Predictions::Rows(
+                    read_predicted(&self.predictions, nearest).map_err(|error| usage(describe(&error)))?,
+                )
             }
         };
         registry.check_writable()?;
@@ -376,16 +339,4 @@ fn print_results(registry: &Registry, experiment: &str, tasks: &[String]) -> Res
     print_text("\nResults so far:");
     print!("{}", sheet.render(Style::Text, width()));
     Ok(())
-}
-
-/// Whether the error is in the arguments or in the file of predictions, so that nothing was done.
-pub fn is_usage(error: &anyhow::Error) -> bool {
-    let is_wrong = |error: &SubmissionError| !matches!(error, SubmissionError::Held { .. });
-    error.is::<TaskError>()
-        || matches!(error.downcast_ref(), Some(ExperimentError::Simulator(_)))
-        || matches!(
-            error.downcast_ref(),
-            Some(ExperimentError::Simulation(SimulationError::Unsuitable { .. }))
-        )
-        || matches!(error.downcast_ref(), Some(ExperimentError::Submission(error)) if is_wrong(error))
 }

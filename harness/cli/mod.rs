@@ -42,9 +42,10 @@ use clap_complete::Shell;
 use harness::analysis::AnalysisError;
 use harness::catalog::QueryError;
 use harness::claims::ClaimsError;
-use harness::collection::CollectionError;
 use harness::dataset::DatasetError;
-use harness::experiment::{ExperimentError, ModelError, RolloutError, describe, results as results_folder};
+use harness::experiment::{
+    ExperimentError, ModelError, RolloutError, SubmissionError, describe, results as results_folder,
+};
 use harness::figures::FigureError;
 use harness::learning::LearningError;
 use harness::nearest;
@@ -640,20 +641,28 @@ fn all_threads() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
+/// The reason why a command does not do what its arguments ask for. The exit code is [`USAGE`].
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct UsageError(String);
+
+/// The error with this message.
+fn usage(message: impl Into<String>) -> anyhow::Error {
+    UsageError(message.into()).into()
+}
+
 /// Whether the error is that a signal cancelled the work.
 fn is_cancelled(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(ExperimentError::is_cancelled)
-        || error.downcast_ref().is_some_and(CollectionError::is_cancelled)
 }
 
 /// Whether the error is in the arguments, the spec or the query, so that the exit code is [`USAGE`].
 fn is_usage(error: &anyhow::Error) -> bool {
-    error.is::<SpecError>()
+    error.is::<UsageError>()
+        || error.is::<SpecError>()
         || error.is::<ClaimsError>()
         || error.is::<AnalysisError>()
         || matches!(error.downcast_ref(), Some(ReportError::Claims(_) | ReportError::Analysis(_)))
-        || error.is::<format::FormatError>()
-        || error.is::<inspect::NotStarted>()
         || matches!(
             error.downcast_ref(),
             Some(
@@ -664,9 +673,6 @@ fn is_usage(error: &anyhow::Error) -> bool {
                     | FigureError::NoDifferences(_)
             )
         )
-        || error.is::<import::ImportError>()
-        || error.is::<render::RenderError>()
-        || error.is::<rollout::NotPredicted>()
         || matches!(error.downcast_ref(), Some(RolloutError::Asked(_)))
         || matches!(
             error.downcast_ref(),
@@ -677,13 +683,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
                     | QueryError::Bytes { .. }
             )
         )
-        || submit::is_usage(error)
-        || judge::is_usage(error)
-        || error.is::<world::WorldError>()
         || matches!(
             error.downcast_ref(),
             Some(
-                SimulationError::PictureSize { .. }
+                SimulationError::Argument(_)
                     | SimulationError::World(_)
                     | SimulationError::Spec { .. }
                     | SimulationError::Compile { .. }
@@ -692,18 +695,19 @@ fn is_usage(error: &anyhow::Error) -> bool {
         )
         || matches!(
             error.downcast_ref(),
-            Some(ExperimentError::Simulation(
-                SimulationError::World(_) | SimulationError::Spec { .. } | SimulationError::Compile { .. }
-            ))
+            Some(
+                ExperimentError::Simulation(
+                    SimulationError::World(_)
+                        | SimulationError::Spec { .. }
+                        | SimulationError::Compile { .. }
+                        | SimulationError::Unsuitable { .. }
+                ) | ExperimentError::Simulator(_)
+                    | ExperimentError::Unsuitable { .. }
+                    | ExperimentError::Dataset(DatasetError::Unsuitable(_) | DatasetError::TooShort(_))
+                    | ExperimentError::Learning(LearningError::Device { .. })
+                    | ExperimentError::Submission(SubmissionError::Refused(_))
+            )
         )
-        || matches!(error.downcast_ref(), Some(ExperimentError::Unsuitable { .. }))
-        || matches!(
-            error.downcast_ref(),
-            Some(ExperimentError::Dataset(
-                DatasetError::NotImported { .. } | DatasetError::Lacks { .. } | DatasetError::TooShort { .. }
-            ))
-        )
-        || matches!(error.downcast_ref(), Some(ExperimentError::Learning(LearningError::Device { .. })))
         || matches!(error.downcast_ref(), Some(ModelError::NoReconstruction { .. }))
         || matches!(error.downcast_ref(), Some(ModelError::Registry(error)) if is_wrong_name(error))
         || error.downcast_ref().is_some_and(is_wrong_name)
@@ -711,8 +715,5 @@ fn is_usage(error: &anyhow::Error) -> bool {
 
 /// Whether the arguments name a run or a results folder that does not exist, or several runs.
 fn is_wrong_name(error: &RegistryError) -> bool {
-    matches!(
-        error,
-        RegistryError::Unknown { .. } | RegistryError::Ambiguous { .. } | RegistryError::NoResults { .. }
-    )
+    matches!(error, RegistryError::Unknown(_) | RegistryError::NoResults { .. })
 }

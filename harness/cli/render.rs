@@ -3,7 +3,7 @@
 use super::progress::Bars;
 use super::rollout::{Asked, frames};
 use super::table::shown;
-use super::{DONE, samples};
+use super::{DONE, samples, usage};
 use anyhow::Result;
 use clap::Args;
 use harness::experiment::ModelError;
@@ -70,25 +70,6 @@ pub struct Render {
     height: u32,
 }
 
-/// The reason why the arguments can't be drawn.
-#[derive(Debug, thiserror::Error)]
-pub enum RenderError {
-    /// The output file's name has none of the supported endings.
-    #[error("can't write a picture to '{}': its name must end in .png or .gif", .0.display())]
-    Format(PathBuf),
-    /// A run is no world, and its predictions need a horizon.
-    #[error("'{0}' is a run; add --horizon 1 to show what it predicts, or name a world")]
-    Run(String),
-    /// The episode is too short.
-    #[error("the episode has {}, so there is no sample {sample}", counted(*samples, "sample"))]
-    Sample {
-        /// The requested sample, counted from 0.
-        sample: usize,
-        /// Number of samples of the episode.
-        samples: usize,
-    },
-}
-
 /// The kind of the output, by the ending of the file's name.
 #[derive(Clone, Copy)]
 enum Output {
@@ -108,7 +89,12 @@ impl Render {
         let output = match ending.to_str() {
             Some("png") => Output::Picture,
             Some("gif") => Output::Clip,
-            _ => return Err(RenderError::Format(self.output).into()),
+            _ => {
+                let output = self.output.display();
+                return Err(usage(format!(
+                    "can't write a picture to '{output}': its name must end in .png or .gif"
+                )));
+            }
         };
         match self.horizon {
             Some(horizon) => self.predictions(registry, horizon as usize, output)?,
@@ -138,7 +124,10 @@ impl Render {
     fn scene(&self, registry: &Registry, output: Output) -> Result<()> {
         let world = World::find(&self.world).map_err(|error| match registry.find(&self.world) {
             Ok((_, record)) => match record.spec.model {
-                Model::Trained(_) => RenderError::Run(self.world.clone()).into(),
+                Model::Trained(_) => usage(format!(
+                    "'{}' is a run; add --horizon 1 to show what it predicts, or name a world",
+                    self.world
+                )),
                 Model::External(_) => ModelError::External(record.run).into(),
             },
             Err(_) => anyhow::Error::from(error),
@@ -171,7 +160,8 @@ impl Render {
             None => vec![scene.rest().to_vec()],
         };
         if self.sample >= states.len() {
-            return Err(RenderError::Sample { sample: self.sample, samples: states.len() }.into());
+            let samples = counted(states.len(), "sample");
+            return Err(usage(format!("the episode has {samples}, so there is no sample {}", self.sample)));
         }
         Ok(states.split_off(self.sample))
     }

@@ -1,6 +1,7 @@
 //! `harness render RUN --horizon N`: what a network predicts along an episode, as a picture or a clip.
 
 use super::progress::Bars as Progress;
+use super::usage;
 use anyhow::Result;
 use harness::experiment::{Rollout, rollout};
 use harness::figures::{Bars, Moment};
@@ -27,19 +28,6 @@ pub struct Asked<'a> {
     pub horizon: usize,
 }
 
-/// The predictions of an episode do not reach a sample.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "samples {first} to {last} of the episode are predicted {} ahead, and not sample {sample}",
-    counted(*horizon, "sample")
-)]
-pub struct NotPredicted {
-    sample: usize,
-    first: usize,
-    last: usize,
-    horizon: usize,
-}
-
 /// Draws a frame for each predicted sample, and returns them with their number per second.
 pub fn frames(registry: &Registry, asked: &Asked) -> Result<(Vec<RgbImage>, f64)> {
     let rollout = rollout(registry, asked.run, asked.episode, asked.horizon)?;
@@ -48,7 +36,10 @@ pub fn frames(registry: &Registry, asked: &Asked) -> Result<(Vec<RgbImage>, f64)
     let [first, last] = [shown[0], shown[shown.len() - 1]].map(Sample::index);
     let from = asked.sample.max(first);
     if from > last {
-        return Err(NotPredicted { sample: from, first, last, horizon: rollout.horizon }.into());
+        let ahead = counted(rollout.horizon, "sample");
+        return Err(usage(format!(
+            "samples {first} to {last} of the episode are predicted {ahead} ahead, and not sample {from}"
+        )));
     }
     let places = from - first..(last - first + 1).min(from - first + asked.samples);
     let show = Show::new(&rollout, &shown);

@@ -9,7 +9,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use harness::analysis::{self, Setting};
 use harness::collection::{check_missing, collect, collect_share, dataset_of};
-use harness::dataset::Dataset;
+use harness::dataset::{AnyDataset, Dataset};
 use harness::experiment::{Planned, Runner, Summary, best, check_in_worlds, describe, provenance};
 use harness::numbers::{counted, rounded};
 use harness::progress::Silent;
@@ -217,7 +217,7 @@ impl Run {
 /// The number of samples of a dataset, of which other shares may not have collected all.
 fn there(dataset: &Dataset) -> String {
     let there = dataset.files() * dataset.spec().samples_per_episode();
-    match dataset.len() {
+    match dataset.samples() {
         all if there < all => format!("{there} of {} so far", counted(all, "sample")),
         all => format!("{} in all", counted(all, "sample")),
     }
@@ -280,7 +280,7 @@ impl Collect {
 
 /// Sentences about the outputs of an experiment that are the same in all samples of a part of its dataset.
 fn constant_outputs(experiment: &Experiment, dataset: &Dataset) -> Result<Vec<String>> {
-    let samples = dataset.load(FramePlace::Nowhere, &Silent)?;
+    let samples = AnyDataset::from(dataset.clone()).load(FramePlace::Nowhere, &Silent)?;
     let partition = samples.partition(&experiment.split, &experiment.window);
     let of_partition =
         |partition| samples.constant_outputs(&experiment.output, &partition, &experiment.window);

@@ -1,38 +1,13 @@
 //! Slurm: batch scripts that a person can read and edit, and the commands that submit, list and cancel jobs.
 
+use super::usage;
+use anyhow::{Result, anyhow, bail};
+use clap::Args;
 use harness::registry::{path_word, quoted};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
-
-/// Why Slurm did not do what it was asked for.
-#[derive(Debug, thiserror::Error)]
-pub enum SlurmError {
-    /// A program of Slurm is not installed.
-    #[error("{program} is not installed, so this machine is not part of a Slurm cluster{}", instead(program))]
-    Missing {
-        /// Its name.
-        program: String,
-    },
-    /// A program of Slurm failed.
-    #[error("{program} failed: {said}")]
-    Refused {
-        /// Its name.
-        program: String,
-        /// What it said.
-        said: String,
-    },
-    /// A program of Slurm can't be started.
-    #[error("{program} can't be started: {source}")]
-    Start {
-        /// Its name.
-        program: String,
-        /// Why.
-        #[source]
-        source: std::io::Error,
-    },
-}
 
 /// What to do where a program of Slurm is missing.
 fn instead(program: &str) -> &'static str {
@@ -42,43 +17,71 @@ fn instead(program: &str) -> &'static str {
     }
 }
 
-/// The resources that a task requests from the cluster.
-#[derive(Debug, Clone, Deserialize)]
+/// What an array of tasks requests from the cluster: the options of `harness submit`, or its configuration file.
+#[derive(Debug, Clone, Default, Args, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Resources {
-    /// Tasks of the array that divides the work.
-    pub tasks: u32,
-    /// Largest number of tasks that run at the same time; no limit, if not set.
-    pub throttle: Option<u32>,
-    /// Processors of a task.
-    pub cpus: u32,
-    /// Memory of a task as Slurm takes it, for example 8G.
-    pub memory: Option<String>,
-    /// Time limit of a task as Slurm takes it, for example 04:00:00.
-    pub time: Option<String>,
-    /// The partition; the cluster's default, if not set.
-    pub partition: Option<String>,
-    /// Further options of sbatch, for example `--account=lab`.
-    pub options: Vec<String>,
-    /// Shell commands before the harness starts, for example `module load mesa`.
-    pub setup: Vec<String>,
+    /// Number of tasks that divide the runs [default: 8, or the number of runs if it is smaller]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
+    tasks: Option<u32>,
+    /// Largest number of tasks that run at the same time [default: no limit]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
+    throttle: Option<u32>,
+    /// Processors for each task [default: 4]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_CPUS))]
+    cpus: Option<u32>,
+    /// Memory for each task, for example 8G [default: the cluster's]
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<String>,
+    /// Time limit of each task, for example 04:00:00. A task that reaches it saves its state and is queued again
+    /// [default: the cluster's]
+    #[arg(long, value_name = "TIME")]
+    time: Option<String>,
+    /// Partition of the cluster [default: the cluster's]
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Another option of sbatch, for example --sbatch=--account=lab; may be given several times
+    #[arg(long = "sbatch", value_name = "OPTION")]
+    options: Vec<String>,
+    /// Shell commands before the harness starts, for example `module load mesa`, which only the file can have.
+    #[arg(skip)]
+    setup: Vec<String>,
 }
 
 /// Largest number of tasks.
-pub const MOST_TASKS: i64 = 1000;
+const MOST_TASKS: i64 = 1000;
 /// Largest number of processors of a task.
-pub const MOST_CPUS: i64 = 1024;
+const MOST_CPUS: i64 = 1024;
 
 impl Resources {
+    /// Number of tasks of the array that divides the work.
+    pub fn tasks(&self) -> u32 {
+        self.tasks.unwrap_or(8)
+    }
+
+    /// These resources, or those of `file` where there are none. The options of both are taken.
+    pub fn or(self, file: Self) -> Self {
+        Self {
+            tasks: self.tasks.or(file.tasks),
+            throttle: self.throttle.or(file.throttle),
+            cpus: self.cpus.or(file.cpus),
+            memory: self.memory.or(file.memory),
+            time: self.time.or(file.time),
+            partition: self.partition.or(file.partition),
+            options: [file.options, self.options].concat(),
+            setup: file.setup,
+        }
+    }
+
     /// Refuses numbers that the options of `harness submit` would refuse, too.
     ///
     /// # Errors
     /// When a number is out of its range. The error is the message.
     pub fn check(&self) -> Result<(), String> {
         let numbers = [
-            ("tasks", Some(self.tasks), MOST_TASKS),
+            ("tasks", self.tasks, MOST_TASKS),
             ("throttle", self.throttle, MOST_TASKS),
-            ("cpus", Some(self.cpus), MOST_CPUS),
+            ("cpus", self.cpus, MOST_CPUS),
         ];
         for (key, number, most) in numbers {
             if let Some(number) = number.filter(|number| !(1..=most).contains(&i64::from(*number))) {
@@ -86,21 +89,6 @@ impl Resources {
             }
         }
         Ok(())
-    }
-}
-
-impl Default for Resources {
-    fn default() -> Self {
-        Self {
-            tasks: 8,
-            throttle: None,
-            cpus: 4,
-            memory: None,
-            time: None,
-            partition: None,
-            options: Vec::new(),
-            setup: Vec::new(),
-        }
     }
 }
 
@@ -162,6 +150,7 @@ impl Job<'_> {
     /// The batch script of a step, whose array has so many tasks.
     pub fn script(&self, step: Step, tasks: u32) -> String {
         let Resources { throttle, cpus, memory, time, partition, options, setup, .. } = self.resources;
+        let cpus = cpus.unwrap_or(4);
         let mut head = vec![format!("--job-name=harness-{}-{}", self.experiment, step.name())];
         let mut log = step.name().to_owned();
         if step != Step::Finish {
@@ -234,21 +223,21 @@ exit "$code"
 ///
 /// # Errors
 /// When sbatch is not installed or refuses the script.
-pub fn submit(script: &Path, after: Option<u64>) -> Result<u64, SlurmError> {
+pub fn submit(script: &Path, after: Option<u64>) -> Result<u64> {
     let mut arguments = vec!["--parsable".to_owned()];
     arguments.extend(after.map(|job| format!("--dependency=afterany:{job}")));
     let mut command = Command::new("sbatch");
     let said = answer(command.args(arguments).arg(script))?;
     // `--parsable` prints `number` or `number;cluster`.
     let number = said.trim().split(';').next().and_then(|number| number.parse().ok());
-    number.ok_or_else(|| SlurmError::Refused { program: "sbatch".into(), said: said.trim().to_owned() })
+    number.ok_or_else(|| anyhow!("sbatch failed: {}", said.trim()))
 }
 
 /// Cancels jobs.
 ///
 /// # Errors
 /// When scancel is not installed or fails.
-pub fn cancel(jobs: &[u64]) -> Result<(), SlurmError> {
+pub fn cancel(jobs: &[u64]) -> Result<()> {
     answer(Command::new("scancel").args(jobs.iter().map(u64::to_string))).map(drop)
 }
 
@@ -273,7 +262,7 @@ pub struct Task {
 ///
 /// # Errors
 /// When squeue is not installed or fails.
-pub fn tasks() -> Result<Vec<Task>, SlurmError> {
+pub fn tasks() -> Result<Vec<Task>> {
     let format = "%F|%K|%T|%N|%M|%r";
     let said = answer(Command::new("squeue").args(["--me", "--noheader", "--array", "--format", format]))?;
     Ok(said.lines().filter_map(task).collect())
@@ -294,15 +283,20 @@ fn task(line: &str) -> Option<Task> {
 }
 
 /// Runs a command of Slurm, and returns its output.
-fn answer(command: &mut Command) -> Result<String, SlurmError> {
+fn answer(command: &mut Command) -> Result<String> {
     let program = command.get_program().to_string_lossy().into_owned();
     let output = command.output().map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SlurmError::Missing { program: program.clone() },
-        _ => SlurmError::Start { program: program.clone(), source },
+        std::io::ErrorKind::NotFound => {
+            let instead = instead(&program);
+            usage(format!(
+                "{program} is not installed, so this machine is not part of a Slurm cluster{instead}"
+            ))
+        }
+        _ => anyhow!("{program} can't be started: {source}"),
     })?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr).trim().replace('\n', "; ");
-        return Err(SlurmError::Refused { program, said });
+        bail!("{program} failed: {said}");
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

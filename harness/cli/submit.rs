@@ -7,10 +7,10 @@
 use super::format::{Form, print_page};
 use super::run::Spec;
 use super::sheet::Style;
-use super::slurm::{self, Job, MOST_CPUS, MOST_TASKS, Resources, SlurmError, Step, Task};
+use super::slurm::{self, Job, Resources, Step, Task};
 use super::table::{Grid, print_command, print_text, print_texts, shown};
-use super::{DONE, interrupt};
-use anyhow::{Result, bail};
+use super::{DONE, interrupt, usage};
+use anyhow::Result;
 use clap::Args;
 use harness::experiment::{Runner, provenance};
 use harness::files::{write_bytes, write_whole};
@@ -30,41 +30,12 @@ const FOLDER: &str = "jobs";
 /// A job's description in its folder.
 const DESCRIPTION: &str = "job.json";
 
-/// Arguments that can't be submitted.
-#[derive(Debug, thiserror::Error)]
-pub enum SubmitError {
-    #[error("{place}: {reason}")]
-    Config { place: String, reason: String },
-    #[error("nothing to submit: every run of {0} is done")]
-    AllDone(String),
-}
-
 #[derive(Args)]
 pub struct Submit {
     #[command(flatten)]
     spec: Spec,
-    /// Number of tasks that divide the runs [default: 8, or the number of runs if it is smaller]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
-    tasks: Option<u32>,
-    /// Largest number of tasks that run at the same time [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_TASKS))]
-    throttle: Option<u32>,
-    /// Processors for each task [default: 4]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_CPUS))]
-    cpus: Option<u32>,
-    /// Memory for each task, for example 8G [default: the cluster's]
-    #[arg(long, value_name = "SIZE")]
-    memory: Option<String>,
-    /// Time limit of each task, for example 04:00:00. A task that reaches it saves its state and is queued again
-    /// [default: the cluster's]
-    #[arg(long, value_name = "TIME")]
-    time: Option<String>,
-    /// Partition of the cluster [default: the cluster's]
-    #[arg(long, value_name = "NAME")]
-    partition: Option<String>,
-    /// Another option of sbatch, for example --sbatch=--account=lab; may be given several times
-    #[arg(long = "sbatch", value_name = "OPTION")]
-    options: Vec<String>,
+    #[command(flatten)]
+    resources: Resources,
     /// YAML file with the settings tasks, throttle, cpus, memory, time, partition, options (for sbatch) and setup
     /// (commands before the harness). Options on the command line replace them
     #[arg(long, value_name = "FILE")]
@@ -81,12 +52,12 @@ impl Submit {
         let plan = Runner::new(registry, threads, &provenance, &Silent).plan(&experiment)?;
         let to_do = plan.iter().filter(|planned| !planned.is_settled()).count();
         if to_do == 0 {
-            bail!(SubmitError::AllDone(experiment.name));
+            return Err(usage(format!("nothing to submit: every run of {} is done", experiment.name)));
         }
         let resources = self.resources()?;
         let episodes: usize = experiment.simulated().iter().map(|(_, of)| of.episodes as usize).sum();
         // An array index beyond the work would be a task that does nothing.
-        let tasks = |items: usize| resources.tasks.min(u32::try_from(items).unwrap_or(u32::MAX)).max(1);
+        let tasks = |items: usize| resources.tasks().min(u32::try_from(items).unwrap_or(u32::MAX)).max(1);
         let time = jiff::Timestamp::now().strftime("%Y%m%dT%H%M%SZ");
         let name = format!("{}-{time}", experiment.name);
         let folder = std::path::absolute(registry.root().join(FOLDER).join(&name))?;
@@ -138,37 +109,16 @@ impl Submit {
 
     /// The settings of the configuration file with the flags in their place.
     fn resources(&self) -> Result<Resources> {
-        let mut resources = match &self.config {
-            None => Resources::default(),
-            Some(path) => {
-                let text = harness::spec::read_text(path)?;
-                serde_yaml::from_str(&text).map_err(|error| {
-                    let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
-                    let place = format!("{}{}", path.display(), at.unwrap_or_default());
-                    let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
-                    SubmitError::Config { place, reason }
-                })?
-            }
-        };
-        fn replace<T: Clone>(setting: &mut T, flag: &Option<T>) {
-            if let Some(value) = flag {
-                *setting = value.clone();
-            }
-        }
-        replace(&mut resources.tasks, &self.tasks);
-        replace(&mut resources.cpus, &self.cpus);
-        resources.throttle = self.throttle.or(resources.throttle);
-        for (setting, flag) in [
-            (&mut resources.memory, &self.memory),
-            (&mut resources.time, &self.time),
-            (&mut resources.partition, &self.partition),
-        ] {
-            *setting = flag.clone().or(setting.take());
-        }
-        resources.options.extend(self.options.iter().cloned());
-        if let (Some(path), Err(reason)) = (&self.config, resources.check()) {
-            bail!(SubmitError::Config { place: path.display().to_string(), reason });
-        }
+        let Some(path) = &self.config else { return Ok(self.resources.clone()) };
+        let text = harness::spec::read_text(path)?;
+        let file: Resources = serde_yaml::from_str(&text).map_err(|error| {
+            let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
+            let place = format!("{}{}", path.display(), at.unwrap_or_default());
+            let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
+            usage(format!("{place}: {reason}"))
+        })?;
+        let resources = self.resources.clone().or(file);
+        resources.check().map_err(|reason| usage(format!("{}: {reason}", path.display())))?;
         Ok(resources)
     }
 }
@@ -298,9 +248,4 @@ fn logs(folder: &Path, step: Step) -> BTreeMap<Option<u32>, String> {
         Some((index, last.to_owned()))
     };
     entries.filter_map(read).collect()
-}
-
-/// Whether an error is the user's.
-pub fn is_usage(error: &anyhow::Error) -> bool {
-    error.is::<SubmitError>() || matches!(error.downcast_ref(), Some(SlurmError::Missing { .. }))
 }

@@ -1,11 +1,11 @@
 //! `harness world`: lists the worlds, checks a world file, and writes one for an MJCF model.
 
-use super::DONE;
 use super::fitness::{judge, print_judgement};
 use super::format::{Destination, Form};
 use super::render::save;
 use super::sheet::Style;
 use super::table::{print_beside, print_text, shown};
+use super::{DONE, usage};
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use harness::files::write_bytes;
@@ -65,45 +65,6 @@ enum Action {
     Schema,
 }
 
-/// The reason why no world file is written.
-#[derive(Debug, thiserror::Error)]
-pub enum WorldError {
-    /// The file exists already.
-    #[error("{} exists already; name another file with --output", .0.display())]
-    Exists(PathBuf),
-    /// The file's ending is not that of a world file.
-    #[error("{}: the name of a world file ends in .yaml; write `harness {command}`", path.display())]
-    Ending {
-        /// The file.
-        path: PathBuf,
-        /// The arguments with another ending.
-        command: String,
-    },
-    /// Options that describe one world, with several or with a format.
-    #[error(
-        "--render and --all are about one world, without --format and --output; leave them out, or check each world alone"
-    )]
-    Several,
-    /// The file's name can't be that of a world.
-    #[error(
-        "a world is named after its file, and '{name}' {why}; write it to a file with another name: `harness {command}`"
-    )]
-    Name {
-        /// The name.
-        name: String,
-        /// Why no world has this name.
-        why: &'static str,
-        /// The arguments with another name.
-        command: String,
-    },
-    /// The model has neither an actuator nor a mocap body.
-    #[error("{0}; `harness {2}` writes a copy of the model with {1}, and the world file for it")]
-    NoAction(SimulationError, String, String),
-    /// The same, and nothing in it moves.
-    #[error("{0}, but nothing in this model moves; if other models include this file, name one of them")]
-    NothingMoves(SimulationError),
-}
-
 impl Command {
     /// Runs the command.
     pub fn execute(self) -> Result<ExitCode> {
@@ -119,7 +80,12 @@ impl Command {
                     worlds.iter().map(|world| checked_scene(world)).collect::<Result<_>>()?;
                 let scene = match (scenes.as_slice(), destination.form()?) {
                     ([scene], Form::Page(Style::Text)) => scene,
-                    _ if all || render.is_some() => return Err(WorldError::Several.into()),
+                    _ if all || render.is_some() => {
+                        return Err(usage(
+                            "--render and --all are about one world, without --format and --output; leave them out, or \
+                             check each world alone",
+                        ));
+                    }
                     (scenes, form) => return judge(scenes, episodes, form),
                 };
                 check(scene, all)?;
@@ -161,12 +127,16 @@ fn write_world(model: &Path, output: Option<PathBuf>, actuates: bool) -> Result<
     }
     if !path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml") {
         let command = new_command(model, Some(&path.with_extension("yaml")), actuates);
-        return Err(WorldError::Ending { path, command }.into());
+        let path = path.display();
+        return Err(usage(format!(
+            "{path}: the name of a world file ends in .yaml; write `harness {command}`"
+        )));
     }
     check_name(model, &path, actuates)?;
     let copy = actuates.then(|| path.with_extension("xml"));
     if let Some(existing) = copy.iter().chain([&path]).find(|path| path.exists()) {
-        return Err(WorldError::Exists(existing.clone()).into());
+        let existing = existing.display();
+        return Err(usage(format!("{existing} exists already; name another file with --output")));
     }
     let folder = |path: &Path| std::fs::canonicalize(path.parent().unwrap_or(Path::new("")).join(".")).ok();
     let is_elsewhere = folder(&path) != folder(model);
@@ -201,12 +171,19 @@ fn advised(error: anyhow::Error, model: &Path, output: Option<&Path>) -> anyhow:
     };
     let SimulationError::NoAction { adds, .. } = error else { return error.into() };
     let adds = match adds {
-        Addable::Nothing => return WorldError::NothingMoves(error).into(),
+        Addable::Nothing => {
+            return usage(format!(
+                "{error}, but nothing in this model moves; if other models include this file, name one of them"
+            ));
+        }
         Addable::Servos(1) => "a position servo on its joint".to_owned(),
         Addable::Servos(count) => format!("a position servo on each of its {count} hinges and slides"),
         Addable::Probe => "a mocap body that touches what moves".to_owned(),
     };
-    WorldError::NoAction(error, adds, new_command(model, output, true)).into()
+    let command = new_command(model, output, true);
+    usage(format!(
+        "{error}; `harness {command}` writes a copy of the model with {adds}, and the world file for it"
+    ))
 }
 
 /// Returns the arguments that write a world file.
@@ -217,7 +194,7 @@ fn new_command(model: &Path, output: Option<&Path>, actuates: bool) -> String {
 }
 
 /// Refuses a path whose name can't be that of a world.
-fn check_name(model: &Path, path: &Path, actuates: bool) -> Result<(), WorldError> {
+fn check_name(model: &Path, path: &Path, actuates: bool) -> Result<()> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let is_built_in = |name: &str| World::built_in().iter().any(|world| world.scenario().name() == name);
     let why = match is_built_in(&name) {
@@ -231,11 +208,10 @@ fn check_name(model: &Path, path: &Path, actuates: bool) -> Result<(), WorldErro
     let is_free = |name: &String| is_name(name) && !is_built_in(name);
     let other = candidates.into_iter().find(is_free).unwrap_or_default();
     let output = path.with_file_name(format!("{other}.yaml"));
-    Err(WorldError::Name {
-        name: name.into_owned(),
-        why,
-        command: new_command(model, Some(&output), actuates),
-    })
+    let command = new_command(model, Some(&output), actuates);
+    Err(usage(format!(
+        "a world is named after its file, and '{name}' {why}; write it to a file with another name: `harness {command}`"
+    )))
 }
 
 fn check(scene: &Scene, all: bool) -> Result<()> {

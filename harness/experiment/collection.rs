@@ -1,5 +1,6 @@
 //! Simulates the missing episodes of a dataset in parallel.
 
+use crate::ExperimentError;
 use crate::shard::Shard;
 use harness_registry::dataset::{CompiledModel, Dataset, DatasetError};
 use harness_shared::files::{FolderLock, LockError};
@@ -14,27 +15,6 @@ use std::time::Duration;
 
 /// Time between two attempts to lock a dataset that another process has locked.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-
-/// Why a dataset could not be collected.
-#[derive(Debug, thiserror::Error)]
-pub enum CollectionError {
-    /// An episode could not be simulated.
-    #[error(transparent)]
-    Simulation(#[from] SimulationError),
-    /// The dataset could not be locked or written.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-}
-
-impl CollectionError {
-    /// Returns whether the caller cancelled the collection.
-    pub fn is_cancelled(&self) -> bool {
-        match self {
-            Self::Simulation(error) => matches!(error, SimulationError::Cancelled { .. }),
-            Self::Dataset(error) => error.is_cancelled(),
-        }
-    }
-}
 
 /// Returns the dataset of a scene and a spec in the folder `root`. It reads and writes nothing.
 pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
@@ -55,7 +35,8 @@ pub fn dataset_of(root: &Path, scene: &Scene, spec: &Simulation) -> Dataset {
 /// When a policy gives the setpoints of missing episodes, or they have images and there is no OpenGL to render with.
 pub fn check_missing<'a>(datasets: impl IntoIterator<Item = &'a Dataset>) -> Result<(), SimulationError> {
     let mut has_images = false;
-    for dataset in datasets.into_iter().filter(|dataset| !dataset.has_every_file()) {
+    let is_incomplete = |dataset: &&Dataset| dataset.files() < dataset.spec().episodes as usize;
+    for dataset in datasets.into_iter().filter(is_incomplete) {
         refuse_policy(dataset.spec())?;
         has_images |= dataset.layout().stored_images().next().is_some();
     }
@@ -95,7 +76,7 @@ pub fn collect(
     scene: &Scene,
     threads: usize,
     progress: &dyn Progress,
-) -> Result<usize, CollectionError> {
+) -> Result<usize, ExperimentError> {
     let (_lock, missing) = claim(dataset, scene, progress)?;
     make(dataset, scene, &missing, threads, progress)
 }
@@ -109,7 +90,7 @@ pub fn collect_share(
     first: usize,
     threads: usize,
     progress: &dyn Progress,
-) -> Result<usize, CollectionError> {
+) -> Result<usize, ExperimentError> {
     share(dataset, scene, shard, first, threads, progress).map(|(made, _)| made)
 }
 
@@ -121,7 +102,7 @@ pub fn collect_together(
     shard: Shard,
     threads: usize,
     progress: &dyn Progress,
-) -> Result<usize, CollectionError> {
+) -> Result<usize, ExperimentError> {
     match share(dataset, scene, shard, 0, threads, progress)? {
         (_, 0) => Ok(0),
         (made, _) => Ok(made + collect(dataset, scene, threads, progress)?),
@@ -136,7 +117,7 @@ fn share(
     first: usize,
     threads: usize,
     progress: &dyn Progress,
-) -> Result<(usize, usize), CollectionError> {
+) -> Result<(usize, usize), ExperimentError> {
     let _lock = lock(dataset, FolderLock::attempt_shared, progress)?;
     dataset.describe(|| scene.mjcf())?;
     let missing = dataset.to_make(progress);
@@ -152,7 +133,7 @@ fn make(
     missing: &[u32],
     threads: usize,
     progress: &dyn Progress,
-) -> Result<usize, CollectionError> {
+) -> Result<usize, ExperimentError> {
     if missing.is_empty() {
         return Ok(0);
     }
@@ -208,7 +189,7 @@ struct Work<'a> {
     scene: &'a Scene,
     missing: &'a [u32],
     next: AtomicUsize,
-    failure: Mutex<Option<CollectionError>>,
+    failure: Mutex<Option<ExperimentError>>,
     progress: &'a dyn Progress,
 }
 
@@ -224,7 +205,7 @@ impl Work<'_> {
         self.progress.cancelled() || self.failure.lock().is_ok_and(|failure| failure.is_some())
     }
 
-    fn make_episodes(&self) -> Result<(), CollectionError> {
+    fn make_episodes(&self) -> Result<(), ExperimentError> {
         let mut simulator = Simulator::new(self.scene, self.dataset.spec())?;
         while let Some(index) = self.missing.get(self.next.fetch_add(1, Ordering::Relaxed)) {
             let episode = simulator.run(*index, &mut || {

@@ -24,7 +24,7 @@ pub use search::{Best, best};
 pub use simulator::{FittedTo, Replay, SimulatorError};
 pub use worlds::results;
 
-use crate::collection::{CollectionError, collect, collect_together, dataset_of};
+use crate::collection::{collect, collect_together, dataset_of};
 use crate::shard::Shard;
 use evaluate::References;
 use harness_judge::{JudgeError, MetricRow, Predictor, Test, judge, models};
@@ -69,9 +69,6 @@ pub enum ExperimentError {
     /// The dataset can't be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The episodes can't be collected.
-    #[error(transparent)]
-    Collection(#[from] CollectionError),
     /// The training failed.
     #[error(transparent)]
     Learning(#[from] LearningError),
@@ -96,18 +93,13 @@ pub enum ExperimentError {
          simulation.actuations_per_episode)"
     )]
     NoTraining,
-    /// The dataset, its frames or the training do not fit in memory or on the disk. The text is the message.
+    /// The dataset, its frames or the training do not fit in memory or on the disk, the first of several runs could not
+    /// prepare their data, or the run's predictions come from another program. The text is the message.
     #[error("{0}")]
-    NoRoom(String),
-    /// The data that several runs share could not be prepared. The first of these runs tried it.
-    #[error("{0}")]
-    Preparation(String),
+    Failed(String),
     /// The threads of a job can't be started.
     #[error("no threads can be started: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
-    /// The run's predictions come from another program.
-    #[error("this run's model is one of another program, which the harness can't train")]
-    NotTrained,
     /// The predictions of an external model can't become a run.
     #[error(transparent)]
     Submission(#[from] SubmissionError),
@@ -177,7 +169,7 @@ impl Source {
 
     /// Returns the number of samples, also of those for the test.
     fn len(&self) -> usize {
-        self.dataset.len() + self.test.as_ref().map_or(0, AnyDataset::len)
+        self.dataset.samples() + self.test.as_ref().map_or(0, AnyDataset::samples)
     }
 
     /// Returns the scene of the test; `None` if it is imported.
@@ -448,7 +440,7 @@ impl<'a> Runner<'a> {
         let name = source.dataset.name();
         let (needed, available) = (Samples::bytes(layout, samples, frames), memory::within_reach());
         if needed > available {
-            return Err(ExperimentError::NoRoom(format!(
+            return Err(ExperimentError::Failed(format!(
                 "the dataset {name} takes {:.1} GB of memory and only {:.1} GB are free; free some, or lower \
                  simulation.episodes or simulation.actuations_per_episode",
                 needed as f64 / 1e9,
@@ -460,7 +452,7 @@ impl<'a> Runner<'a> {
         }
         let (needed, folder) = (frame_bytes(layout, samples), self.registry.datasets());
         if let Some(available) = free_bytes(&folder).filter(|available| needed > *available) {
-            return Err(ExperimentError::NoRoom(format!(
+            return Err(ExperimentError::Failed(format!(
                 "the frames of the dataset {name} take {:.1} GB of disk while it is used, and only {:.1} GB are free \
                  in {}; make room, or lower simulation.episodes or simulation.actuations_per_episode",
                 needed as f64 / 1e9,
@@ -524,7 +516,7 @@ impl ExperimentError {
         match self {
             Self::Cancelled | Self::Learning(LearningError::Cancelled) => true,
             Self::Dataset(error) => error.is_cancelled(),
-            Self::Collection(error) => error.is_cancelled(),
+            Self::Simulation(error) => matches!(error, SimulationError::Cancelled { .. }),
             _ => false,
         }
     }

@@ -28,28 +28,13 @@ pub enum ModelError {
     /// The network can't be loaded or applied.
     #[error(transparent)]
     Learning(LearningError),
-    /// The run is not done.
-    #[error("{run} is {}, not done; repeat the command that started it, to continue", status.name())]
-    Unfinished {
-        /// Id of the run.
-        run: String,
-        /// Its status.
-        status: Status,
-    },
+    /// The run is not done, its network has a memory, or no file of a model of another program was attached to it. The
+    /// text is the message.
+    #[error("{0}")]
+    Unusable(String),
     /// The run's model is one of another program.
     #[error("the predictions of {0} come from another program, so the harness has no network of it")]
     External(String),
-    /// The run's model is one of another program, and its file was not attached.
-    #[error(
-        "the predictions of {0} come from another program, and no file of its model was attached to them"
-    )]
-    NotAttached(String),
-    /// The run's network has a memory.
-    #[error(
-        "the network of {0} has a memory, so it can't be applied to single observations; use harness.load_network, or \
-         export it as an ONNX model"
-    )]
-    Memory(String),
     /// The run has no checkpoint at this path.
     #[error("there is no network at {}; published results have none unless they were published with --networks; to \
          train it, run its experiment again", .0.display())]
@@ -65,28 +50,12 @@ pub enum ModelError {
         /// The tasks that it trained.
         tasks: Vec<Task>,
     },
-    /// An observation lacks a modality of the encoder's input.
-    #[error("the observation lacks '{modality}'; the encoder of {run} needs {}", names(given))]
-    Lacks {
-        /// Id of the run.
-        run: String,
-        /// The missing modality.
-        modality: Modality,
-        /// All modalities of the encoder's input.
-        given: Vec<Modality>,
-    },
-    /// A modality, an action or a latent state has the wrong number of values.
-    #[error("'{name}' has {found} values for a batch of {batch}, which must be {batch} times {width}")]
-    Shape {
-        /// Name of the modality, `action` or `latent`.
-        name: &'static str,
-        /// Number of observations in the batch.
-        batch: usize,
-        /// Number of values of one observation.
-        width: usize,
-        /// Number of values that were given.
-        found: usize,
-    },
+    /// An observation lacks a modality of the encoder's input. The text is the message.
+    #[error("{0}")]
+    Lacks(String),
+    /// A modality, an action or a latent state has the wrong number of values. The text is the message.
+    #[error("{0}")]
+    Shape(String),
 }
 
 fn names(modalities: &[Modality]) -> String {
@@ -113,7 +82,11 @@ impl Model {
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
         let (folder, record, trained) = finished(registry, wanted)?;
         if trained.network.memory != Memory::None {
-            return Err(ModelError::Memory(record.run));
+            return Err(ModelError::Unusable(format!(
+                "the network of {} has a memory, so it can't be applied to single observations; use \
+                 harness.load_network, or export it as an ONNX model",
+                record.run
+            )));
         }
         let task = Task::Prediction;
         let architecture = applied(&record, &trained, task).scaled(&normalizers(&folder.checkpoint(task))?);
@@ -210,10 +183,11 @@ impl Model {
     fn observation(&self, batch: usize, values: &Values) -> Result<Observation, ModelError> {
         let input = &self.record.spec.input;
         let normalized = |&modality: &Modality| {
-            let values = values.get(&modality).ok_or_else(|| ModelError::Lacks {
-                run: self.record.run.clone(),
-                modality,
-                given: input.clone(),
+            let values = values.get(&modality).ok_or_else(|| {
+                let (run, needed) = (&self.record.run, names(input));
+                ModelError::Lacks(format!(
+                    "the observation lacks '{modality}'; the encoder of {run} needs {needed}"
+                ))
             })?;
             let definition = &self.record.layout[modality];
             check(modality.name(), batch, definition.width(), values)?;
@@ -244,7 +218,11 @@ pub(crate) fn finished(
     match (record.status, record.spec.trained().cloned()) {
         (Status::Done, Some(trained)) => Ok((folder, record, trained)),
         (Status::Done, None) => Err(ModelError::External(record.run)),
-        (status, _) => Err(ModelError::Unfinished { run: record.run, status }),
+        (status, _) => Err(ModelError::Unusable(format!(
+            "{} is {}, not done; repeat the command that started it, to continue",
+            record.run,
+            status.name()
+        ))),
     }
 }
 
@@ -300,5 +278,8 @@ fn check(name: &'static str, batch: usize, width: usize, values: &[f32]) -> Resu
     if values.len() == batch * width {
         return Ok(());
     }
-    Err(ModelError::Shape { name, batch, width, found: values.len() })
+    let found = values.len();
+    Err(ModelError::Shape(format!(
+        "'{name}' has {found} values for a batch of {batch}, which must be {batch} times {width}"
+    )))
 }

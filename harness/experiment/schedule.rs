@@ -376,7 +376,11 @@ impl WorkerPool<'_> {
     }
 
     fn train(&self, planned: &Planned, claimed: &Claimed) -> Result<Outcome, ExperimentError> {
-        let trained = planned.spec.trained().ok_or(ExperimentError::NotTrained)?;
+        let trained = planned.spec.trained().ok_or_else(|| {
+            ExperimentError::Failed(
+                "this run's model is one of another program, which the harness can't train".to_owned(),
+            )
+        })?;
         let prepared = self.prepared(planned)?;
         let _memory = self.promise(&planned.spec, trained, &prepared)?;
         let everyone = self.runner.progress;
@@ -411,7 +415,7 @@ impl WorkerPool<'_> {
                 return Ok(Promise { promised: &self.promised, bytes: needed });
             }
             if *promised == 0 {
-                return Err(ExperimentError::NoRoom(format!(
+                return Err(ExperimentError::Failed(format!(
                     "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or \
                      lower network.hidden, network.channels or training.batch_size",
                     needed as f64 / 1e9,
@@ -439,7 +443,7 @@ impl WorkerPool<'_> {
                 made => made.map(Arc::new).map_err(|error| describe(&error)),
             },
         };
-        slot.insert(made).clone().map_err(ExperimentError::Preparation)
+        slot.insert(made).clone().map_err(ExperimentError::Failed)
     }
 
     /// Reports that a run failed, and returns the message.

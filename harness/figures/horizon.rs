@@ -48,7 +48,9 @@ pub fn render(source: &Source) -> Result<Drawing, FigureError> {
     let answer = question.answer(analysis)?;
     let horizons: BTreeSet<usize> = answer.cells.iter().filter_map(|cell| cell.of.horizon).collect();
     if horizons.len() < 2 {
-        return Err(FigureError::OneHorizon { experiment: experiment.to_owned() });
+        return Err(FigureError::NothingToDraw(format!(
+            "the runs of {experiment} predict only the next sample; runs with another `window.horizon` predict more"
+        )));
     }
     let there: BTreeSet<String> = answer.cells.iter().map(|cell| cell.of.predicted()).collect();
     let force = Modality::CONTACT_FORCE.name();

@@ -155,22 +155,10 @@ pub enum FigureError {
     /// A query can't be answered, or the numbers can't be saved.
     #[error(transparent)]
     Query(#[from] QueryError),
-    /// The figure shows only the paper's robot or its experiments.
-    #[error("it shows {shows}; {instead}")]
-    OnlyPaper {
-        /// What the figure shows.
-        shows: &'static str,
-        /// What shows the same of any robot.
-        instead: &'static str,
-    },
-    /// The runs of an experiment predict only the next sample.
-    #[error(
-        "the runs of {experiment} predict only the next sample; runs with another `window.horizon` predict more"
-    )]
-    OneHorizon {
-        /// The experiment's name.
-        experiment: String,
-    },
+    /// The figure shows only the paper's robot or its experiments, or what only runs with a longer horizon have. The
+    /// text is the message.
+    #[error("{0}")]
+    NothingToDraw(String),
     /// A column of a table is missing or has an unexpected type, or a table can't be built.
     #[error("a table has unexpected columns or values: {0}")]
     Table(#[from] PolarsError),
@@ -204,9 +192,8 @@ impl FigureError {
             Self::NoRuns { .. }
                 | Self::NoRole { .. }
                 | Self::NoRows { .. }
-                | Self::OnlyPaper { .. }
-                | Self::Analysis(AnalysisError::NoMeans { .. } | AnalysisError::UnknownModality { .. })
-                | Self::OneHorizon { .. }
+                | Self::NothingToDraw(_)
+                | Self::Analysis(AnalysisError::NoMeans(_) | AnalysisError::UnknownModality(_))
         )
     }
 }
@@ -361,10 +348,11 @@ impl Figure {
             Figure::ReconstructionPerformance => reconstruction_performance::render(source),
             Figure::Regression => regression::render(source),
             Figure::Horizon => horizon::render(source),
-            Figure::Confusion => Err(FigureError::OnlyPaper {
-                shows: "categories, which the paper does not predict",
-                instead: "name an experiment that predicts some with --experiment",
-            }),
+            Figure::Confusion => Err(FigureError::NothingToDraw(
+                "it shows categories, which the paper does not predict; name an experiment that predicts some with \
+                 --experiment"
+                    .to_owned(),
+            )),
         }
     }
 }
@@ -403,10 +391,9 @@ impl Figure {
             Ok(if one.is_some() { with_remark(drawing) } else { drawing })
         };
         match self {
-            Figure::Task | Figure::SimEnv => Err(FigureError::OnlyPaper {
-                shows: "the paper's scene",
-                instead: "`harness render` draws any world",
-            }),
+            Figure::Task | Figure::SimEnv => Err(FigureError::NothingToDraw(
+                "it shows the paper's scene; `harness render` draws any world".to_owned(),
+            )),
             Figure::PredictiveArch => predictive_arch::render(&source).map(with_remark),
             Figure::InformationLossArch => information_loss_arch::render(&source).map(with_remark),
             Figure::ForcesDataset => {

@@ -13,25 +13,12 @@ pub struct OfReading {
 /// Why a reading can't be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadingError {
-    /// The text does not name an experiment and a reading.
-    #[error("'{0}' names no reading; write EXPERIMENT/READING, for example reproduction/recommended")]
-    Form(String),
     /// The experiment's spec can't be read.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// The experiment has no readings.
-    #[error("{0} has no readings; name an experiment that has, such as reproduction")]
-    NoReadings(String),
-    /// The experiment has no such reading.
-    #[error("{experiment} has no reading '{wanted}'; its readings are {}", there.join(", "))]
-    Unknown {
-        /// The experiment's name.
-        experiment: String,
-        /// The wanted reading.
-        wanted: String,
-        /// The names of the experiment's readings.
-        there: Vec<String>,
-    },
+    /// The text names no reading of an experiment. The text is the message.
+    #[error("{0}")]
+    Unknown(String),
 }
 
 impl OfReading {
@@ -42,15 +29,23 @@ impl OfReading {
     pub fn load(text: &str, quick: bool) -> Result<Self, ReadingError> {
         let named =
             text.rsplit_once('/').filter(|(experiment, wanted)| !experiment.is_empty() && !wanted.is_empty());
-        let (experiment, wanted) = named.ok_or_else(|| ReadingError::Form(text.to_owned()))?;
+        let (experiment, wanted) = named.ok_or_else(|| {
+            ReadingError::Unknown(format!(
+                "'{text}' names no reading; write EXPERIMENT/READING, for example reproduction/recommended"
+            ))
+        })?;
         let spec = load(Path::new(experiment), &[], quick)?;
         if spec.readings.is_empty() {
-            return Err(ReadingError::NoReadings(experiment.to_owned()));
+            return Err(ReadingError::Unknown(format!(
+                "{experiment} has no readings; name an experiment that has, such as reproduction"
+            )));
         }
-        let there: Vec<String> = spec.names_of_readings().into_iter().map(str::to_owned).collect();
-        if !there.iter().any(|name| name == wanted) {
-            let (experiment, wanted) = (experiment.to_owned(), wanted.to_owned());
-            return Err(ReadingError::Unknown { experiment, wanted, there });
+        let there = spec.names_of_readings();
+        if !there.contains(&wanted) {
+            let there = there.join(", ");
+            return Err(ReadingError::Unknown(format!(
+                "{experiment} has no reading '{wanted}'; its readings are {there}"
+            )));
         }
         Ok(Self { spec, reading: wanted.to_owned() })
     }

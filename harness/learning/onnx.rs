@@ -186,11 +186,6 @@ impl<'a> Remembered<'a> {
     fn width(&self) -> usize {
         self.parts.iter().map(|(_, width)| width).sum()
     }
-
-    /// Whether the layers expect samples that are not seen.
-    fn has_prior(&self) -> bool {
-        self.others.iter().any(|layer| layer.name == PRIOR)
-    }
 }
 
 /// Returns the outputs that are predicted as changes.
@@ -366,7 +361,8 @@ impl Writer<'_> {
         }
         self.layers(MEMORY, memory.others)?;
         let posterior = part(POSTERIOR);
-        Ok(match memory.has_prior() {
+        let has_prior = memory.others.iter().any(|layer| layer.name == PRIOR);
+        Ok(match has_prior {
             true => self.node("Where", &[&is_seen, &posterior, &part(PRIOR)], part("belief"), Vec::new()),
             false => posterior,
         })

@@ -24,7 +24,7 @@ const STEPS: &str = "steps";
 #[derive(Default)]
 pub struct State {
     /// Losses of the epochs so far, in order.
-    epochs: Vec<Epoch>,
+    pub epochs: Vec<Epoch>,
     /// The lowest validation loss of each term, and the first epoch that had it.
     lowest: BTreeMap<String, (f64, usize)>,
     /// The parameters of the epoch with the lowest validation loss.
@@ -32,16 +32,6 @@ pub struct State {
 }
 
 impl State {
-    /// The losses of the epochs so far, in order.
-    pub fn epochs(&self) -> &[Epoch] {
-        &self.epochs
-    }
-
-    /// The losses of the epochs so far, in order.
-    pub(crate) fn into_epochs(self) -> Vec<Epoch> {
-        self.epochs
-    }
-
     /// Returns the epoch with the lowest validation loss, counted from 1; 0 before the first epoch. Without validation
     /// losses, that is the first epoch.
     pub(crate) fn best_epoch(&self) -> usize {

@@ -74,10 +74,10 @@ impl Fit<'_> {
         };
         let epochs = self.training.final_epoch();
         self.progress.begin(stage, epochs as u64, "epochs");
-        self.progress.resume(state.epochs().len() as u64);
-        (self.log)(state.epochs());
+        self.progress.resume(state.epochs.len() as u64);
+        (self.log)(&state.epochs);
         while !self.finished(&state) {
-            let epoch = match self.epoch(&mut steps, state.epochs().len()) {
+            let epoch = match self.epoch(&mut steps, state.epochs.len()) {
                 Err(LearningError::Cancelled) => {
                     self.state.save_kept(&state)?;
                     return Err(LearningError::Cancelled);
@@ -85,7 +85,7 @@ impl Fit<'_> {
                 epoch => epoch?,
             };
             state.record(epoch, parameters)?;
-            (self.log)(state.epochs());
+            (self.log)(&state.epochs);
             self.progress.note(&describe(&state));
             self.progress.advance(1);
             self.state.save_now_and_then(&state, parameters, &steps.adam)?;
@@ -96,7 +96,7 @@ impl Fit<'_> {
             state.restore_best(parameters)?;
         }
         self.progress.end();
-        Ok(state.into_epochs())
+        Ok(state.epochs)
     }
 
     /// Recalibrates the distributions that trained parameters predict, on the validation samples.
@@ -116,7 +116,7 @@ impl Fit<'_> {
     }
 
     fn finished(&self, state: &State) -> bool {
-        let done = state.epochs().len();
+        let done = state.epochs.len();
         let improved = match self.training.stop {
             Stop::Total => state.best_epoch(),
             Stop::EveryTerm => state.last_improvement(),
@@ -223,9 +223,9 @@ impl Sums {
 
 /// Describes the last epoch's losses and the lowest validation loss so far.
 fn describe(state: &State) -> String {
-    let [.., last] = state.epochs() else { return String::new() };
+    let Some(last) = state.epochs.last() else { return String::new() };
     let of = |losses: &Losses| losses.get(TOTAL).copied().unwrap_or(f64::NAN);
-    let best = &state.epochs()[state.best_epoch() - 1];
+    let best = &state.epochs[state.best_epoch() - 1];
     let lowest = if best.epoch == last.epoch {
         "lowest so far".into()
     } else {

@@ -62,7 +62,7 @@ impl TrainingMean {
     /// When no training sample was added.
     pub fn predict(&self, samples: usize) -> Result<Vec<f32>, MetricsError> {
         if self.samples == 0 {
-            return Err(MetricsError::NoSamples { what: "the training mean" });
+            return Err(MetricsError::no_samples("the training mean"));
         }
         let mean: Vec<f32> = self.sums.iter().map(|sum| (sum / self.samples as f64) as f32).collect();
         Ok(mean.repeat(samples))
@@ -119,15 +119,22 @@ impl RidgeSums {
     /// too small to make the solution unique.
     pub fn solve(&self, alpha: f64) -> Result<Ridge, MetricsError> {
         if !(alpha.is_finite() && alpha >= 0.0) {
-            return Err(MetricsError::Alpha(alpha));
+            let problem = "it must be finite and not negative";
+            return Err(MetricsError(format!("ridge regression's alpha is {alpha}; {problem}")));
         }
         let size = self.inputs + 1;
         if self.gram[0] == 0.0 {
-            return Err(MetricsError::NoSamples { what: "ridge regression" });
+            return Err(MetricsError::no_samples("ridge regression"));
         }
         let mut factor = self.gram.clone();
         (1..size).for_each(|i| factor[i * size + i] += alpha);
-        cholesky(&mut factor, size).map_err(|column| MetricsError::Singular { column: column - 1, alpha })?;
+        cholesky(&mut factor, size).map_err(|column| {
+            MetricsError(format!(
+                "ridge regression's inputs are linearly dependent at column {} and alpha is {alpha}; raise alpha or \
+                 drop that column",
+                column - 1
+            ))
+        })?;
         let mut weights = self.cross.clone();
         weights.par_chunks_exact_mut(size).for_each(|output| solve_factored(&factor, output));
         Ok(Ridge { inputs: self.inputs, outputs: self.outputs, weights })
@@ -196,7 +203,7 @@ pub fn downsample_frame(frame: &[f32], size: [usize; 2]) -> Result<Vec<f32>, Met
     let [rows, columns] = size;
     let width = rows * columns * IMAGE_CHANNELS;
     if frame.len() != width {
-        return Err(MetricsError::Shape { what: "the camera frame", values: frame.len(), width });
+        return Err(MetricsError::shape("the camera frame", frame.len(), width));
     }
     let [gray_rows, gray_columns] = size.map(|side| side.min(GRAY_SIDE));
     let mut gray = vec![(0.0, 0); gray_rows * gray_columns];

@@ -29,7 +29,7 @@ impl Ensemble {
     pub fn new(members: Members, size: usize, mut values: Vec<f32>) -> Result<Self, MetricsError> {
         const WHAT: &str = "the ensemble";
         if size == 0 || !values.len().is_multiple_of(size) {
-            return Err(MetricsError::Shape { what: WHAT, values: values.len(), width: size });
+            return Err(MetricsError::shape(WHAT, values.len(), size));
         }
         check_finite(WHAT, &values, size)?;
         values.par_chunks_exact_mut(size).for_each(|row| row.sort_unstable_by(f32::total_cmp));

@@ -3,14 +3,10 @@
 use super::DEFAULT_ROOT;
 use super::command_line::command_in;
 use harness_shared::files::{LockError, WriteError};
-use harness_shared::numbers::first_few;
 use harness_tables::TableError;
 use polars::prelude::PolarsError;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// The maximum number of runs that a message lists. The others are only counted.
-const NAMES_SHOWN: usize = 5;
 
 /// An error in reading or writing the results folder.
 #[derive(Debug, thiserror::Error)]
@@ -70,22 +66,9 @@ pub enum RegistryError {
         /// Number of episodes that the dataset should have.
         episodes: u32,
     },
-    /// No run has a name that begins with the wanted text.
-    #[error("no run matches '{wanted}'{}; `{list}` lists them", match (nearest, there.as_slice()) {
-        (Some(nearest), _) => format!(", the nearest is '{nearest}'"),
-        (None, []) => String::new(),
-        (None, there) => format!("; the runs of this experiment are {}", first_few(there, NAMES_SHOWN)),
-    })]
-    Unknown {
-        /// The wanted text.
-        wanted: String,
-        /// The run that was probably meant.
-        nearest: Option<String>,
-        /// The ids of the runs of the experiment, if the text names one.
-        there: Vec<String>,
-        /// The command that lists all runs, or those of the experiment.
-        list: String,
-    },
+    /// No run, or more than one, has a name that begins with the wanted text. The text is the message.
+    #[error("{0}")]
+    Unknown(String),
     /// A metric can't be added to a run.
     #[error("{} can't get a metric: {problem}", path.display())]
     NoMetric {
@@ -93,14 +76,6 @@ pub enum RegistryError {
         path: PathBuf,
         /// Why.
         problem: &'static str,
-    },
-    /// The wanted text is the beginning of several runs' names.
-    #[error("'{wanted}' matches several runs: {}; name one of them", first_few(matches, NAMES_SHOWN))]
-    Ambiguous {
-        /// The wanted text.
-        wanted: String,
-        /// The runs that match, as `experiment/run`.
-        matches: Vec<String>,
     },
 }
 

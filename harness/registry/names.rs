@@ -3,8 +3,12 @@
 use super::folders::Recorded;
 use super::{Registry, RegistryError, RunFolder, RunRecord};
 use harness_shared::files::{real, within};
+use harness_shared::numbers::first_few;
 use harness_shared::{nearest, quoted};
 use std::path::Path;
+
+/// The maximum number of runs that a message lists. The others are only counted.
+const NAMES_SHOWN: usize = 5;
 
 impl Registry {
     /// The only run whose id, or `experiment/id`, begins with `wanted`. The path of a run's folder is allowed, too.
@@ -18,10 +22,13 @@ impl Registry {
         match matches.as_slice() {
             [record] => Ok((self.folder_of(record), record.clone())),
             [] => Err(self.unknown(wanted)),
-            several => Err(RegistryError::Ambiguous {
-                wanted: wanted.to_owned(),
-                matches: several.iter().map(RunRecord::name).collect(),
-            }),
+            several => {
+                let names: Vec<String> = several.iter().map(RunRecord::name).collect();
+                let names = first_few(&names, NAMES_SHOWN);
+                Err(RegistryError::Unknown(format!(
+                    "'{wanted}' matches several runs: {names}; name one of them"
+                )))
+            }
         }
     }
 
@@ -71,7 +78,12 @@ impl Registry {
             Some(experiment) => self.command(&format!("ls {}", quoted([experiment]))),
             None => self.command("ls"),
         };
-        RegistryError::Unknown { wanted: wanted.to_owned(), nearest, there, list }
+        let instead = match (nearest, there.as_slice()) {
+            (Some(nearest), _) => format!(", the nearest is '{nearest}'"),
+            (None, []) => String::new(),
+            (None, there) => format!("; the runs of this experiment are {}", first_few(there, NAMES_SHOWN)),
+        };
+        RegistryError::Unknown(format!("no run matches '{wanted}'{instead}; `{list}` lists them"))
     }
 }
 

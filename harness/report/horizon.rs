@@ -59,7 +59,7 @@ pub fn curves(analysis: &Analysis, asked: &Asked) -> Result<Vec<Curve>, ReportEr
         ..Question::default()
     };
     let answer = match question.answer(analysis) {
-        Err(AnalysisError::NoMeans { .. }) => return Ok(Vec::new()),
+        Err(AnalysisError::NoMeans(_)) => return Ok(Vec::new()),
         answer => answer?,
     };
     let (means, labels) = (&answer.cells, &answer.labels);

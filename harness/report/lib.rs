@@ -127,7 +127,7 @@ fn part<T>(outcome: Result<T, FigureError>, asked: &Asked) -> Result<Part<T>, Fi
             (reason, command.filter(|_| !lacks_rows))
         }
         Err(FigureError::Mixed(error)) => (sentence(&error.to_string()), None),
-        Err(FigureError::Simulation(error @ SimulationError::NoRenderer { .. })) => {
+        Err(FigureError::Simulation(error @ SimulationError::NoRenderer(_))) => {
             (format!("It could not be rendered: {error}."), None)
         }
         Err(error) => return Err(error),
@@ -431,24 +431,17 @@ fn clips(
     asked: &Asked,
     progress: &dyn Progress,
 ) -> Result<(Vec<Part<clips::Clip>>, Vec<clips::Frames>), FigureError> {
-    let own = scenarios.iter().map(|scenario| Shot::of_the_paper(*scenario));
+    let own = scenarios.iter().map(|scenario| (Shot::of_the_paper(*scenario), true));
+    let others = Shot::others(analysis, asked).into_iter().map(|shot| (shot, false));
     let (mut clips, mut frames, mut absent) = (Vec::new(), Vec::new(), BTreeSet::new());
-    for shot in own {
-        match part(clips::film(&shot, progress), asked)? {
-            Part::Absent(reason) => drop(absent.insert(reason)),
-            Part::There((clip, pictures)) => {
-                clips.push(Part::There(clip));
-                frames.push(pictures);
-            }
-        }
-    }
-    for shot in Shot::others(analysis, asked) {
+    for (shot, is_of_the_paper) in own.chain(others) {
         match part(clips::film(&shot, progress), asked) {
             Ok(Part::Absent(reason)) => drop(absent.insert(reason)),
             Ok(Part::There((clip, pictures))) => {
                 clips.push(Part::There(clip));
                 frames.push(pictures);
             }
+            Err(error) if is_of_the_paper => return Err(error),
             // The world's files may be gone, or have changed since the runs.
             Err(error) => {
                 let reason = format!("The world {} could not be filmed: {error}.", shot.scenario);

@@ -24,7 +24,7 @@ pub fn tables(analysis: &Analysis, asked: &Asked) -> Result<Vec<Table>, ReportEr
     for experiment in &asked.experiments {
         let (experiments, metrics) = (vec![experiment.clone()], metrics.clone());
         let answer = match (Question { experiments, metrics, ..Question::default() }).answer(analysis) {
-            Err(AnalysisError::NoMeans { .. }) => continue,
+            Err(AnalysisError::NoMeans(_)) => continue,
             answer => answer?,
         };
         let ahead = answer.ahead();

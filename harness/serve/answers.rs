@@ -144,7 +144,7 @@ fn horizons_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, F
     let (task, metrics) = (Some(Task::Prediction), run.whole_metrics()?);
     match (Question { task, metrics, by: vec![Key::Horizon], ..Question::default() }).answer(&run) {
         // A run that is not done has none.
-        Err(AnalysisError::Nothing(_) | AnalysisError::NoMeans { .. }) => Ok(Vec::new()),
+        Err(AnalysisError::Nothing(_) | AnalysisError::NoMeans(_)) => Ok(Vec::new()),
         answer => {
             let horizons = answer?.frame()?;
             Ok(columns(&horizons, horizons.height()))

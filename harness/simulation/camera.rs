@@ -29,7 +29,7 @@ impl Camera {
     /// # Errors
     /// When there is no OpenGL to render with, or the model's offscreen buffer is smaller than the frame.
     pub fn new(scene: &Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
-        Self::for_model(&scene.model, scene, scene.view, width, height)
+        Self::for_model(&scene.model, scene, scene.parts.view, width, height)
     }
 
     /// Creates a renderer for a camera that is recorded.
@@ -90,17 +90,17 @@ pub(super) fn time_rendering<M: ModelType>(
     scene: &Scene,
     data: &mut MjData<M>,
 ) -> Result<Option<SampleTime>, SimulationError> {
-    if scene.cameras.is_empty() && scene.sights.is_empty() {
+    if scene.parts.cameras.is_empty() && scene.parts.sights.is_empty() {
         return Ok(None);
     }
     let mut coded_s = 0.0;
-    for of in &scene.sights {
+    for of in &scene.parts.sights {
         let mut sight = Sight::new(scene, of)?;
         coded_s += shortest(|| sight.look(data))?;
     }
     let mut time = |model: &MjModel| -> Result<f64, SimulationError> {
         let mut total = coded_s;
-        for SceneCamera { camera, size: [rows, columns], .. } in &scene.cameras {
+        for SceneCamera { camera, size: [rows, columns], .. } in &scene.parts.cameras {
             let mut camera = Camera::for_model(model, scene, Some(*camera), *columns as u32, *rows as u32)?;
             total += shortest(|| camera.capture(data).map(drop))?;
         }
@@ -153,7 +153,7 @@ impl<'s> SceneRenderer<'s> {
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
         check_size(width, height)?;
-        Self::of_model(scene, good_looking(&scene.model, width, height), scene.view, [width, height])
+        Self::of_model(scene, good_looking(&scene.model, width, height), scene.parts.view, [width, height])
     }
 
     /// Creates a renderer for pictures of `width` x `height` pixels from a camera of the model.
@@ -190,7 +190,7 @@ impl<'s> SceneRenderer<'s> {
             let [rows, columns] = of.size.map(|side| side as u32);
             return Ok(Self::with_eye(scene, scene.model.clone(), Some(of.camera), eye, [columns, rows]));
         }
-        let Some(recorded) = scene.cameras.iter().find(is_meant) else {
+        let Some(recorded) = scene.parts.cameras.iter().find(is_meant) else {
             let recorded: Vec<String> = scene.rendered().map(|recorded| recorded.to_string()).collect();
             return Err(match name {
                 Some(name) if !recorded.is_empty() => unknown_camera(scene, name, &recorded),
@@ -219,7 +219,7 @@ impl<'s> SceneRenderer<'s> {
         check_size(width, height)?;
         let mut model = good_looking(&scene.model, width, height);
         let body = scene.id(MjtObjBase::mjOBJ_BODY, "body", body)?;
-        let camera = scene.view.ok_or_else(|| SimulationError::Unsuitable {
+        let camera = scene.parts.view.ok_or_else(|| SimulationError::Unsuitable {
             scene: scene.name.clone(),
             problem: "it has no camera".into(),
         })?;
@@ -289,8 +289,11 @@ impl<'s> SceneRenderer<'s> {
     pub fn render(&mut self, state: &[f64]) -> Result<RgbImage, SimulationError> {
         let expected = self.scene.rest().len();
         if state.len() != expected {
-            let scene = self.scene.name.clone();
-            return Err(SimulationError::StateSize { scene, found: state.len(), expected });
+            return Err(SimulationError::Other(format!(
+                "a state of {} values does not fit {}, which has {expected} position coordinates",
+                state.len(),
+                self.scene.name
+            )));
         }
         write_state(state, &mut self.data);
         self.data.forward();
@@ -320,7 +323,9 @@ fn check_size(width: u32, height: u32) -> Result<(), SimulationError> {
     if range.contains(&width) && range.contains(&height) {
         return Ok(());
     }
-    Err(SimulationError::PictureSize { width, height, max: MAX_PICTURE_SIDE })
+    Err(SimulationError::Argument(format!(
+        "a picture of {width} x {height} pixels is out of range: each side must be 1 to {MAX_PICTURE_SIDE}"
+    )))
 }
 
 /// Returns a copy of the model with shadows and MuJoCo's default visual quality, which the models lower for speed.

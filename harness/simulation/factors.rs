@@ -22,7 +22,8 @@ pub struct FactorValues {
 impl FactorValues {
     /// Draws each factor from its own random generator, so that its values don't depend on the other factors.
     pub(super) fn draw(scene: &Scene, spec: &Simulation, episode: u32) -> Self {
-        let on = scene.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
+        let on =
+            scene.parts.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
         let draw = |(index, factor): (usize, &SceneFactor)| {
             let mut rng = stream(&factor.name, spec.stream(), scene.scenario(), episode);
             let values = factor.elements.iter().map(|_| draw_value(&factor.drawing, &mut rng)).collect();
@@ -39,18 +40,20 @@ impl FactorValues {
         let given = |(name, value): (&String, &f64)| {
             let refused =
                 |problem: String| SimulationError::Argument(format!("the factor '{name}': {problem}"));
-            let place = scene.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
-                let names: Vec<&str> = scene.factors.iter().map(|factor| factor.name.as_str()).collect();
-                refused(match names.as_slice() {
-                    [] => format!("the world {} has no factors", scene.scenario()),
-                    names => {
-                        format!("the factors of the world {} are {}", scene.scenario(), names.join(", "))
-                    }
-                })
-            })?;
-            let [low, high] = scene.factors[place].drawing.range();
+            let place =
+                scene.parts.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
+                    let names: Vec<&str> =
+                        scene.parts.factors.iter().map(|factor| factor.name.as_str()).collect();
+                    refused(match names.as_slice() {
+                        [] => format!("the world {} has no factors", scene.scenario()),
+                        names => {
+                            format!("the factors of the world {} are {}", scene.scenario(), names.join(", "))
+                        }
+                    })
+                })?;
+            let [low, high] = scene.parts.factors[place].drawing.range();
             match (low..=high).contains(value) {
-                true => Ok((place, vec![*value; scene.factors[place].elements.len()])),
+                true => Ok((place, vec![*value; scene.parts.factors[place].elements.len()])),
                 false => {
                     Err(refused(format!("{value} is outside of its range [{low}, {high}] in the world file")))
                 }
@@ -61,7 +64,7 @@ impl FactorValues {
 
     /// Returns values of one factor that all equal `value`.
     pub(super) fn of_one(scene: &Scene, factor: usize, value: f64) -> Self {
-        Self { drawn: vec![(factor, vec![value; scene.factors[factor].elements.len()])] }
+        Self { drawn: vec![(factor, vec![value; scene.parts.factors[factor].elements.len()])] }
     }
 
     /// Returns all values, in the order of the elements of `factors` in [`Scene::layout_of`].
@@ -96,7 +99,7 @@ impl FactorValues {
         &'a self,
         scene: &'a Scene,
     ) -> impl Iterator<Item = (&'a str, Vec<(usize, f64)>)> {
-        let drawn = self.drawn.iter().map(|(index, values)| (&scene.factors[*index], values));
+        let drawn = self.drawn.iter().map(|(index, values)| (&scene.parts.factors[*index], values));
         drawn.filter(|(factor, _)| factor.property == Property::SensorNoise).map(|(factor, values)| {
             let value = |place: usize| values[if factor.each { place } else { 0 }];
             let things = factor.things.iter().enumerate();
@@ -107,7 +110,7 @@ impl FactorValues {
     /// Returns each change: the property, the index of the object in the model, and the values.
     fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
         self.drawn.iter().flat_map(|(index, values)| {
-            let factor = &scene.factors[*index];
+            let factor = &scene.parts.factors[*index];
             let width = factor.property.width();
             factor.things.iter().enumerate().map(move |(place, thing)| {
                 let first = if factor.each { place * width } else { 0 };
@@ -257,7 +260,7 @@ fn prefer_frictions(model: &mut MjModel, frictions: &BTreeMap<usize, f64>) {
 
 /// Returns the largest number by which the factors that a spec turns on multiply a geom's size.
 pub(super) fn largest_size(scene: &Scene, spec: &Simulation, geom: usize) -> f64 {
-    let on = scene.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+    let on = scene.parts.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
     let of_geom = on.filter(|factor| factor.property == Property::GeomSize && factor.things.contains(&geom));
     of_geom.map(|factor| factor.drawing.range()[1]).product()
 }

@@ -198,10 +198,10 @@ fn joints(scene: &Scene, name: &str) -> Result<Vec<usize>, SimulationError> {
                     .iter()
                     .rposition(|first| *first as usize <= at)
                     .map(|joint| joint..joint + 1),
-                Reading::Pose(index, _) => of_body(scene.posed[index].id),
+                Reading::Pose(index, _) => of_body(scene.parts.posed[index].id),
                 _ => None,
             };
-            scene.readings[position].iter().filter_map(of).flatten().collect()
+            scene.parts.readings[position].iter().filter_map(of).flatten().collect()
         }
         None => {
             let matched = |kind| {

@@ -152,7 +152,8 @@ pub enum SimulationError {
     },
 
     /// Something else is in the way: the linked MuJoCo library has another version, a body finds no place, a recorded
-    /// course has a fault, or only Python can ask a policy for the setpoints. The text is the message.
+    /// course has a fault, a state does not fit the model, or only Python can ask a policy for the setpoints. The text
+    /// is the message.
     #[error("{0}")]
     Other(String),
 
@@ -163,30 +164,16 @@ pub enum SimulationError {
         episode: u32,
     },
 
-    /// No OpenGL context could be created.
+    /// No OpenGL context could be created. The text is EGL's message.
     #[error(
-        "no OpenGL context for offscreen rendering: EGL says {cause}; install an EGL driver \
+        "no OpenGL context for offscreen rendering: EGL says {0}; install an EGL driver \
          (Debian: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri)"
     )]
-    NoRenderer {
-        /// Message of EGL.
-        cause: String,
-    },
+    NoRenderer(String),
 
     /// OpenGL failed while rendering.
     #[error("rendering failed")]
     Render(#[source] RendererError),
-
-    /// A picture of this size can't be rendered.
-    #[error("a picture of {width} x {height} pixels is out of range: each side must be 1 to {max}")]
-    PictureSize {
-        /// Width, pixels.
-        width: u32,
-        /// Height, pixels.
-        height: u32,
-        /// Longest side that is allowed, pixels.
-        max: u32,
-    },
 
     /// A setpoint has the wrong number of values, or a value that is not finite.
     #[error(
@@ -202,18 +189,8 @@ pub enum SimulationError {
         expected: usize,
     },
 
-    /// An argument of a batch, or the value of a factor of variation, is wrong. The text is the message.
+    /// An argument of a batch, the size of a picture, or the value of a factor of variation is wrong. The text is the
+    /// message.
     #[error("{0}")]
     Argument(String),
-
-    /// A state has the wrong number of generalized positions.
-    #[error("a state of {found} values does not fit {scene}, which has {expected} position coordinates")]
-    StateSize {
-        /// Where the model came from.
-        scene: String,
-        /// Number of values that were given.
-        found: usize,
-        /// Number of generalized positions of the model.
-        expected: usize,
-    },
 }

@@ -53,7 +53,7 @@ pub fn notes(scene: &Scene) -> Result<Notes, SimulationError> {
     notes.extend(unrecorded_forces(scene));
     notes.extend(unrendered_geoms(scene, data));
     let rendering = match time_rendering(scene, data) {
-        Err(error @ SimulationError::NoRenderer { .. }) => {
+        Err(error @ SimulationError::NoRenderer(_)) => {
             notes.push(format!("rendering was not tried: {error}"));
             None
         }
@@ -88,7 +88,7 @@ fn several_units(scene: &Scene) -> Vec<String> {
 fn unlimited(scene: &Scene) -> Vec<String> {
     let actuators = scene.world().file().action.actuators.iter();
     let free = actuators
-        .zip(&scene.actuators)
+        .zip(&scene.parts.actuators)
         .filter(|(_, driven)| driven.mocap.is_none() && driven.limits.map(f64::is_finite) == [false; 2]);
     free.map(|((element, actuator), _)| {
         let [low, high] = actuator.range;
@@ -130,7 +130,7 @@ fn unsettled(scene: &Scene, spec: &Simulation) -> Result<Option<String>, Simulat
 /// The indices of the ball and free joints whose bodies are not placed at random.
 fn unplaced(scene: &Scene) -> Vec<usize> {
     let placed: BTreeSet<usize> =
-        scene.placements.iter().flat_map(|placement| &placement.boxes).map(|body| body.qpos).collect();
+        scene.parts.placements.iter().flat_map(|placement| &placement.boxes).map(|body| body.qpos).collect();
     let joints = ball_and_free(&scene.model).into_iter();
     joints.filter(|joint| !placed.contains(&(scene.model.jnt_qposadr()[*joint] as usize))).collect()
 }
@@ -138,17 +138,14 @@ fn unplaced(scene: &Scene) -> Vec<usize> {
 /// The ball and free joints of bodies whose poses are not recorded.
 fn unrecorded_bodies(scene: &Scene) -> Option<String> {
     let model = &scene.model;
-    let recorded: BTreeSet<i32> = scene
-        .posed
-        .iter()
-        .map(|PosedObject { of, id, .. }| match of {
-            Posed::Body => model.body_weldid()[*id],
-            Posed::Site => model.body_weldid()[model.site_bodyid()[*id] as usize],
-        })
-        .collect();
+    let body = |PosedObject { of, id, .. }: &PosedObject| match of {
+        Posed::Body => model.body_weldid()[*id],
+        Posed::Site => model.body_weldid()[model.site_bodyid()[*id] as usize],
+    };
+    let recorded: BTreeSet<i32> = scene.parts.posed.iter().map(body).collect();
     let is_read = |joint: usize| {
         let end = model.jnt_qposadr()[joint] as usize + if word(model, joint) == "free" { 3 } else { 0 };
-        scene.readings.iter().flatten().any(|reading| *reading == Reading::Orientation(end, 0))
+        scene.parts.readings.iter().flatten().any(|reading| *reading == Reading::Orientation(end, 0))
     };
     let mut joints = unplaced(scene);
     joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]) && !is_read(*joint));
@@ -165,12 +162,12 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
 fn unrecorded_forces(scene: &Scene) -> Option<String> {
     let (model, unplaced) = (&scene.model, unplaced(scene));
     let is_left_out = |geom: &usize| {
-        scene.force_of_geom[*geom].is_none()
+        scene.parts.force_of_geom[*geom].is_none()
             && touches(model, *geom, |joint| !is_single(model, joint) && unplaced.contains(&joint))
     };
     let geoms: Vec<usize> = (0..model.ngeom() as usize).filter(is_left_out).collect();
     let names: Vec<String> = geoms.into_iter().map(|geom| name_of(model, GEOM, geom)).collect();
-    (scene.forces > 0 && !names.is_empty())
+    (scene.parts.forces > 0 && !names.is_empty())
         .then(|| format!("no modality records the forces on the geoms {}", first_few(&names, NAMES_SHOWN)))
 }
 

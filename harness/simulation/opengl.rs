@@ -50,7 +50,7 @@ pub(super) fn plain(model: &MjModel) -> MjModel {
 pub(super) fn open_renderer(model: &MjModel, width: u32, height: u32) -> Result<MjRenderer, SimulationError> {
     let renderer = MjRendererBuilder::new().width(width).height(height).num_visual_internal_geom(DECORATIONS);
     renderer.build(model).map_err(|error| match error {
-        RendererError::GlutinError(cause) => SimulationError::NoRenderer { cause: cause.to_string() },
+        RendererError::GlutinError(cause) => SimulationError::NoRenderer(cause.to_string()),
         other => SimulationError::Render(other),
     })
 }

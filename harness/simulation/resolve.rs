@@ -16,27 +16,41 @@ use harness_spec::{
 use mujoco_rs::prelude::*;
 use std::collections::BTreeSet;
 use std::ops::Range;
+use std::sync::Arc;
 
-/// A world file with its names resolved in the model. The fields are those of the scene.
-pub(super) struct Resolved {
-    pub layout: Layout,
+/// A world file with its names resolved in the model.
+#[derive(Debug)]
+pub(super) struct Parts {
+    pub layout: Arc<Layout>,
+    /// For each modality of the layout, the sources of its elements; empty for images and differences.
     pub readings: Vec<Vec<Reading>>,
     pub cameras: Vec<SceneCamera>,
     pub flows: Vec<SceneFlow>,
     pub sights: Vec<SceneSight>,
+    /// The bodies and sites whose poses are sensed, by their indices in the model.
     pub posed: Vec<PosedObject>,
     pub actuators: Vec<Driven>,
+    /// What else is settled at the start of an episode.
     pub settling: Settling,
+    /// For each geom, the index of the force to which its contacts are added.
     pub force_of_geom: Vec<Option<usize>>,
+    /// The same for each flex.
     pub force_of_flex: Vec<Option<usize>>,
+    /// Number of contact forces that are sensed.
     pub forces: usize,
+    /// What a probing motion feels; `None` if the motion is another one.
     pub touch: Option<Touch>,
+    /// Divisions of the contacts into kinds.
     pub contact_kinds: Vec<ContactKinds>,
+    /// Directions of contacts that are sensed.
     pub normals: Vec<ContactNormal>,
     pub placements: Vec<Placement>,
     pub factors: Vec<SceneFactor>,
+    /// The camera for figures and videos; `None` for MuJoCo's free camera.
     pub view: Option<usize>,
+    /// Body and geom of the last link whose contacts are sensed.
     pub tip: Option<Tip>,
+    /// The keyframe from which episodes start, if the world names one.
     pub keyframe: Option<usize>,
 }
 
@@ -298,7 +312,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    pub fn resolve(mut self) -> Result<Resolved, SimulationError> {
+    pub fn resolve(mut self) -> Result<Parts, SimulationError> {
         let (file, step_rate) = (self.world.file(), 1.0 / self.model.opt().timestep);
         if (file.step_rate_hz - step_rate).abs() > 1e-6 * step_rate {
             let message =
@@ -385,8 +399,12 @@ impl<'a> Resolver<'a> {
         let keyframe =
             file.keyframe.as_deref().map(|name| self.find(KEYFRAME, name, "keyframe")).transpose()?;
         let view = cameras.first().map(|camera| camera.camera).or((self.model.ncam() > 0).then_some(0));
-        Ok(Resolved {
-            layout: Layout { modalities: definitions, regions: self.world.regions(), labels: Vec::new() },
+        Ok(Parts {
+            layout: Arc::new(Layout {
+                modalities: definitions,
+                regions: self.world.regions(),
+                labels: Vec::new(),
+            }),
             readings,
             cameras,
             flows,

@@ -4,11 +4,7 @@ use super::course::Course;
 use super::load::{compile_error, load_file, load_text, read_model};
 use super::names::{CAMERA, called};
 use super::plugins::load_plugins;
-use super::resolve::{
-    Area, ContactKinds, ContactNormal, Driven, Mount, Placement, PosedObject, Reading, Resolver, SceneCamera,
-    SceneCoded, SceneFactor, SceneFlow, SceneSight, Tip, Touch, within,
-};
-use super::settled::Settling;
+use super::resolve::{Area, Driven, Mount, Parts, Resolver, SceneCamera, SceneCoded, SceneSight, within};
 use super::standing::GroundModel;
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
@@ -33,39 +29,10 @@ pub struct Scene {
     /// The recorded course that the setpoints follow, if there is one.
     pub(super) course: Option<Course>,
     pub(super) model: Arc<MjModel>,
-    layout: Arc<Layout>,
-    /// For each modality of the layout, the sources of its elements; empty for images and differences.
-    pub(super) readings: Vec<Vec<Reading>>,
-    pub(super) cameras: Vec<SceneCamera>,
-    pub(super) flows: Vec<SceneFlow>,
-    pub(super) sights: Vec<SceneSight>,
-    /// The bodies and sites whose poses are sensed, by their indices in the model.
-    pub(super) posed: Vec<PosedObject>,
-    pub(super) actuators: Vec<Driven>,
-    /// What else is settled at the start of an episode.
-    pub(super) settling: Settling,
-    /// For each geom, the index of the force to which its contacts are added.
-    pub(super) force_of_geom: Vec<Option<usize>>,
-    /// The same for each flex.
-    pub(super) force_of_flex: Vec<Option<usize>>,
-    /// Number of contact forces that are sensed.
-    pub(super) forces: usize,
-    /// What a probing motion feels; `None` if the motion is another one.
-    pub(super) touch: Option<Touch>,
-    /// Divisions of the contacts into kinds.
-    pub(super) contact_kinds: Vec<ContactKinds>,
-    /// Directions of contacts that are sensed.
-    pub(super) normals: Vec<ContactNormal>,
-    pub(super) placements: Vec<Placement>,
+    /// What the world file names.
+    pub(super) parts: Parts,
     /// The ground below the bodies that are placed; `None` if there are none.
     pub(super) ground: Option<GroundModel>,
-    pub(super) factors: Vec<SceneFactor>,
-    /// The camera for figures and videos; `None` for MuJoCo's free camera.
-    pub(super) view: Option<usize>,
-    /// Body and geom of the last link whose contacts are sensed.
-    pub(super) tip: Option<Tip>,
-    /// The keyframe from which episodes start, if the world names one.
-    pub(super) keyframe: Option<usize>,
     /// The positions of the model at rest.
     rest: Vec<f64>,
 }
@@ -156,46 +123,18 @@ impl Scene {
         model_sha256: String,
         name: String,
     ) -> Result<Self, SimulationError> {
-        let resolved = Resolver::new(&world, &model).resolve()?;
+        let parts = Resolver::new(&world, &model).resolve()?;
         // Frames that are larger than the model's offscreen buffer would be refused.
-        let of_cameras = resolved.cameras.iter().map(|camera| camera.size);
-        for [rows, columns] in of_cameras.chain(resolved.sights.iter().map(|sight| sight.size)) {
+        let of_cameras = parts.cameras.iter().map(|camera| camera.size);
+        for [rows, columns] in of_cameras.chain(parts.sights.iter().map(|sight| sight.size)) {
             let buffer = &mut model.vis_mut().global;
             buffer.offheight = buffer.offheight.max(rows as i32);
             buffer.offwidth = buffer.offwidth.max(columns as i32);
         }
         let course = Course::of(&world)?;
-        let rest = rest_of(&model, resolved.keyframe, &resolved.actuators);
-        let ground = (!resolved.placements.is_empty()).then(|| GroundModel::new(&model));
-        Ok(Self {
-            name,
-            world,
-            xml,
-            model_sha256,
-            course,
-            model: Arc::new(model),
-            layout: Arc::new(resolved.layout),
-            readings: resolved.readings,
-            cameras: resolved.cameras,
-            flows: resolved.flows,
-            sights: resolved.sights,
-            posed: resolved.posed,
-            actuators: resolved.actuators,
-            settling: resolved.settling,
-            force_of_geom: resolved.force_of_geom,
-            force_of_flex: resolved.force_of_flex,
-            forces: resolved.forces,
-            touch: resolved.touch,
-            contact_kinds: resolved.contact_kinds,
-            normals: resolved.normals,
-            placements: resolved.placements,
-            ground,
-            factors: resolved.factors,
-            view: resolved.view,
-            tip: resolved.tip,
-            keyframe: resolved.keyframe,
-            rest,
-        })
+        let rest = rest_of(&model, parts.keyframe, &parts.actuators);
+        let ground = (!parts.placements.is_empty()).then(|| GroundModel::new(&model));
+        Ok(Self { name, world, xml, model_sha256, course, model: Arc::new(model), parts, ground, rest })
     }
 
     /// Refuses settings that do not suit the model.
@@ -216,7 +155,7 @@ impl Scene {
     /// Returns the time grid of an episode.
     pub(super) fn timing(&self, spec: &Simulation) -> Result<Timing, SimulationError> {
         let ranges = self.ranges(spec);
-        for (&[low, high], driven) in ranges.iter().zip(&self.actuators) {
+        for (&[low, high], driven) in ranges.iter().zip(&self.parts.actuators) {
             if !within([low, high], driven.limits) {
                 let [min, max] = driven.limits;
                 let name = &self.name;
@@ -231,7 +170,7 @@ impl Scene {
 
     /// Refuses ranges with which the arm could pull a body that sweeps a sector past the arm's axis.
     fn check_sectors(&self, ranges: &[[f64; 2]]) -> Result<(), SimulationError> {
-        for placement in &self.placements {
+        for placement in &self.parts.placements {
             let Area::Sector(Mount { elements: [_, extension], radius, .. }) = &placement.area else {
                 continue;
             };
@@ -242,7 +181,7 @@ impl Scene {
                      arm's axis",
                     -radius, placement.name
                 );
-                let field = self.actuators[*extension].setting.clone();
+                let field = self.parts.actuators[*extension].setting.clone();
                 return Err(SimulationError::Spec { field, problem });
             }
         }
@@ -255,13 +194,13 @@ impl Scene {
         let range = |(driven, (_, own)): (&Driven, (&str, &Actuator))| {
             spec.range(&driven.setting).unwrap_or(own.range)
         };
-        self.actuators.iter().zip(own).map(range).collect()
+        self.parts.actuators.iter().zip(own).map(range).collect()
     }
 
     /// Returns the setpoint at the start of every episode: the controls of the keyframe or, without one, what the world
     /// file says.
     pub(super) fn start(&self, spec: &Simulation) -> Vec<f64> {
-        if let Some(key) = self.keyframe {
+        if let Some(key) = self.parts.keyframe {
             let (controls, places) = (self.model.key_ctrl(), self.model.key_mpos());
             let controls = &controls[key * self.model.nu() as usize..];
             let places = &places[key * 3 * self.model.nmocap() as usize..];
@@ -272,7 +211,7 @@ impl Scene {
                 };
                 value.clamp(low, high)
             };
-            return self.ranges(spec).into_iter().zip(&self.actuators).map(start).collect();
+            return self.ranges(spec).into_iter().zip(&self.parts.actuators).map(start).collect();
         }
         let actuators = self.world.file().action.actuators.iter();
         let start = |([low, high], (_, actuator)): ([f64; 2], (&str, &Actuator))| match actuator.start {
@@ -295,18 +234,18 @@ impl Scene {
 
     /// Returns the layout of the samples if no factor of variation is on.
     pub fn layout(&self) -> &Arc<Layout> {
-        &self.layout
+        &self.parts.layout
     }
 
     /// Returns the layout of the samples under a spec. If the spec turns on factors, their values are the last
     /// modality.
     pub fn layout_of(&self, spec: &Simulation) -> Arc<Layout> {
-        let on = self.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+        let on = self.parts.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
         let elements: Vec<Element> = on.flat_map(|factor| factor.elements.clone()).collect();
         if elements.is_empty() {
-            return self.layout.clone();
+            return self.layout().clone();
         }
-        let mut layout = self.layout.with_factors(elements);
+        let mut layout = self.layout().with_factors(elements);
         for definition in &mut layout.modalities {
             let scaling = self.world.scaling(definition.name, &spec.factors);
             definition.minimum = scaling.map_or(definition.minimum, |scaling| scaling.minimum);
@@ -318,7 +257,7 @@ impl Scene {
 
     /// Returns for each factor of variation its name, its property, its distribution and the names of its values.
     pub fn factors(&self) -> impl Iterator<Item = (&str, Property, String, Vec<&str>)> {
-        self.factors.iter().map(|factor| {
+        self.parts.factors.iter().map(|factor| {
             let elements = factor.elements.iter().map(|element| element.name.as_str()).collect();
             (factor.name.as_str(), factor.property, factor.drawing.to_string(), elements)
         })
@@ -326,7 +265,7 @@ impl Scene {
 
     /// Returns the lowest and the highest value of each factor of variation.
     pub fn factor_ranges(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
-        self.factors.iter().map(|factor| (factor.name.as_str(), factor.drawing.range()))
+        self.parts.factors.iter().map(|factor| (factor.name.as_str(), factor.drawing.range()))
     }
 
     /// Returns where the model came from, for messages.
@@ -368,12 +307,12 @@ impl Scene {
     /// Returns the state of a model at rest: the scene's model or a copy with other values. Mocap bodies have the poses
     /// of the world's keyframe.
     pub(super) fn at_rest(&self, model: Arc<MjModel>) -> MjData<Arc<MjModel>> {
-        at_rest(model, self.keyframe)
+        at_rest(model, self.parts.keyframe)
     }
 
     /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
-        self.placements.iter().map(|placement| placement.boxes.len()).sum()
+        self.parts.placements.iter().map(|placement| placement.boxes.len()).sum()
     }
 
     /// Returns the names of the model's cameras, in the model's order. A camera without a name is called `camera_` and
@@ -385,20 +324,20 @@ impl Scene {
 
     /// Returns the modalities whose images are rendered: those of cameras, and then depths and segmentations.
     pub fn rendered(&self) -> impl Iterator<Item = Modality> {
-        let coded = self.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image.modality);
-        self.cameras.iter().map(|camera| camera.modality).chain(coded)
+        let coded = self.parts.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image.modality);
+        self.parts.cameras.iter().map(|camera| camera.modality).chain(coded)
     }
 
     /// Returns all recorded images: of cameras, flows, depths and segmentations.
     pub(super) fn images(&self) -> impl Iterator<Item = SceneCamera> {
-        let flows = self.flows.iter().map(|flow| flow.image);
-        let coded = self.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image);
-        self.cameras.iter().copied().chain(flows).chain(coded)
+        let flows = self.parts.flows.iter().map(|flow| flow.image);
+        let coded = self.parts.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image);
+        self.parts.cameras.iter().copied().chain(flows).chain(coded)
     }
 
     /// Returns the depth or segmentation that a modality records, with its camera.
     pub(super) fn coded(&self, modality: &str) -> Option<(&SceneSight, &SceneCoded)> {
-        self.sights.iter().find_map(|sight| {
+        self.parts.sights.iter().find_map(|sight| {
             let coded = sight.coded.iter().find(|coded| coded.image.modality.name() == modality)?;
             Some((sight, coded))
         })

@@ -72,11 +72,11 @@ pub(super) fn write_normals(
     if found.is_empty() {
         return;
     }
-    let mut sums = vec![[0.0; 3]; scene.forces];
+    let mut sums = vec![[0.0; 3]; scene.parts.forces];
     each_touch(scene, data, resting, |Touch { link, force, normal, .. }| {
         sums[link].iter_mut().zip(normal).for_each(|(sum, part)| *sum += force * part);
     });
-    for (found, ContactNormal { force, body }) in found.iter_mut().zip(&scene.normals) {
+    for (found, ContactNormal { force, body }) in found.iter_mut().zip(&scene.parts.normals) {
         let (sum, axes) = (sums[*force], data.xmat()[*body]);
         let length = sum.iter().map(|part| part * part).sum::<f64>().sqrt();
         let along = |axis: usize| (0..3).map(|row| axes[3 * row + axis] * sum[row]).sum::<f64>() / length;
@@ -103,7 +103,8 @@ fn touches(
     // What is not a geom is a flex, and the other way round. The index of what it is not is negative.
     let of = |forces: &[Option<usize>], id: i32| forces.get(usize::try_from(id).ok()?).copied().flatten();
     let links = [0, 1].map(|side| {
-        of(&scene.force_of_geom, contact.geom[side]).or(of(&scene.force_of_flex, contact.flex[side]))
+        of(&scene.parts.force_of_geom, contact.geom[side])
+            .or(of(&scene.parts.force_of_flex, contact.flex[side]))
     });
     if links == [None, None] {
         return [None; 2];
@@ -132,7 +133,7 @@ impl Resting {
     pub fn restart(&mut self, scene: &Scene, data: &MjData<Arc<MjModel>>) {
         self.touches.clear();
         self.asleep.clear();
-        if scene.forces == 0 || !can_sleep(data.model()) {
+        if scene.parts.forces == 0 || !can_sleep(data.model()) {
             return;
         }
         self.asleep.resize(data.tree_asleep().len(), false);

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use smart_default::SmartDefault;
 use std::collections::BTreeMap;
 
 /// Draws settings, one combination for each trial.
@@ -61,10 +62,11 @@ pub enum Candidates {
 }
 
 /// The value by which trials are compared: a term of the loss on the validation samples. The best trial has the lowest.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// `total`, or an output modality, as in the column `term` of the table `epochs`.
+    #[default(Self::TOTAL.into())]
     pub term: String,
     /// The samples on which the loss is evaluated. Choosing by the test samples would make their errors too small.
     pub split: Evaluated,
@@ -83,12 +85,6 @@ pub enum Evaluated {
 impl Objective {
     /// The weighted sum of all terms.
     pub const TOTAL: &str = "total";
-}
-
-impl Default for Objective {
-    fn default() -> Self {
-        Self { term: Self::TOTAL.into(), split: Evaluated::Validation }
-    }
 }
 
 /// Successive halving (Jamieson & Talwalkar, 2016): all trials are trained for a few epochs, and the best of them are

@@ -688,10 +688,11 @@ impl Experiment {
 }
 
 /// The probabilities that a training window lacks an input.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, SmartDefault, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum ModalityDropout {
     /// The same one for all inputs.
+    #[default]
     Every(#[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))] f64),
     /// One for each of these inputs; 0 for all others.
     Of(#[schemars(schema_with = "rates_schema")] BTreeMap<Modality, f64>),
@@ -709,12 +710,6 @@ pub struct Together {
     /// The probability that a window lacks them. Those of all items are less than 1 together.
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1.0))]
     pub probability: f64,
-}
-
-impl Default for ModalityDropout {
-    fn default() -> Self {
-        Self::Every(0.0)
-    }
 }
 
 impl ModalityDropout {

@@ -29,7 +29,7 @@ pub struct Dataset {
 fn load(dataset: &AnyDataset, frames: bool) -> Result<Samples, DatasetError> {
     let layout = dataset.layout();
     let place = match frames && layout.stored_images().next().is_some() {
-        true => FramePlace::for_samples(layout, dataset.len(), None),
+        true => FramePlace::for_samples(layout, dataset.samples(), None),
         false => FramePlace::Nowhere,
     };
     dataset.load(place, &Silent)

@@ -49,7 +49,6 @@ impl Raise for SimulationError {
             | Self::Missing { .. }
             | Self::Unsuitable { .. }
             | Self::Spec { .. }
-            | Self::PictureSize { .. }
             | Self::Setpoint { .. }
             | Self::Argument(_) => self.value_error(),
             _ => self.runtime_error(),
@@ -66,7 +65,7 @@ impl Raise for DatasetError {
 impl Raise for RegistryError {
     fn raise(self) -> PyErr {
         match self {
-            Self::Unknown { .. } | Self::Ambiguous { .. } => PyKeyError::new_err(self.to_string()),
+            Self::Unknown(_) => PyKeyError::new_err(self.to_string()),
             // On the command line it is an option.
             Self::NoResults { root, problem } => PyFileNotFoundError::new_err(format!(
                 "there are no results in {}: {problem}; the argument `results` names the folder that runs were \
@@ -119,7 +118,7 @@ impl Raise for ExperimentError {
             Self::Simulation(error) => error.raise(),
             Self::Registry(error) => error.raise(),
             Self::NoTraining
-            | Self::Dataset(DatasetError::TooShort { .. } | DatasetError::Split { .. })
+            | Self::Dataset(DatasetError::TooShort(_) | DatasetError::Split(_))
             | Self::Learning(LearningError::Device { .. }) => self.value_error(),
             Self::Submission(SubmissionError::Held { .. }) => self.runtime_error(),
             Self::Submission(_) => self.value_error(),
@@ -133,8 +132,8 @@ impl Raise for ModelError {
         match self {
             Self::Registry(error) => error.raise(),
             Self::NoNetwork(_) => PyFileNotFoundError::new_err(self.to_string()),
-            Self::Lacks { .. } => PyKeyError::new_err(self.to_string()),
-            Self::Shape { .. } => self.value_error(),
+            Self::Lacks(_) => PyKeyError::new_err(self.to_string()),
+            Self::Shape(_) => self.value_error(),
             _ => self.runtime_error(),
         }
     }

@@ -53,24 +53,20 @@ pub(super) fn build(architecture: &Architecture, builder: &mut Builder) -> Resul
             Ok::<_, candle_core::Error>((own, output))
         })
         .transpose()?;
+    let with_width = |modality: Modality| (modality, architecture.layout[modality].width());
     let (frame_hidden, frames) = frames.map_or((None, None), |(own, output)| (own, Some(output)));
     Ok(Box::new(PerceptronDecoder {
         condition: [architecture.latent, architecture.action],
         heads,
         categories,
         unit_vectors,
-        vectors_of: with_widths(architecture, vectors_of),
+        vectors_of: vectors_of.into_iter().map(with_width).collect(),
         images_of,
         shared,
         vectors,
         frame_hidden,
         frames,
     }))
-}
-
-/// Returns vectors with their widths.
-fn with_widths(architecture: &Architecture, vectors: Vec<Modality>) -> Vec<(Modality, usize)> {
-    vectors.into_iter().map(|modality| (modality, architecture.layout[modality].width())).collect()
 }
 
 /// Hidden layers, which vectors and frames share or have separately, and the output layers of both.

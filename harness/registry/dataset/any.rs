@@ -17,16 +17,6 @@ impl From<Dataset> for AnyDataset {
     }
 }
 
-impl Dataset {
-    /// Reads the whole dataset into memory. The frames are stored where `frames` says.
-    ///
-    /// # Errors
-    /// See [`AnyDataset::load`].
-    pub fn load(&self, frames: FramePlace, progress: &dyn Progress) -> Result<Samples, DatasetError> {
-        AnyDataset::from(self.clone()).load(frames, progress)
-    }
-}
-
 /// A simulated or imported dataset on disk.
 #[derive(Debug, Clone)]
 pub enum AnyDataset {
@@ -59,10 +49,12 @@ impl AnyDataset {
             _ if all.iter().any(|one| one == name) => Self::at(&root.join(name)),
             [only] => Self::at(&root.join(only)),
             _ => {
-                let is_one_of_several = !there.is_empty();
-                let there = if is_one_of_several { there } else { all };
-                let (name, root) = (name.to_owned(), root.to_owned());
-                Err(DatasetError::NotNamed { name, root, is_one_of_several, there })
+                let (count, there) = if there.is_empty() { ("none", all) } else { ("more than one", there) };
+                let there = if there.is_empty() { "no datasets".to_owned() } else { there.join(", ") };
+                Err(DatasetError::NotNamed(format!(
+                    "{count} of the datasets in {} has a name that begins with '{name}'; there are {there}",
+                    root.display()
+                )))
             }
         }
     }
@@ -76,16 +68,11 @@ impl AnyDataset {
     }
 
     /// Returns the number of samples in the whole dataset.
-    pub fn len(&self) -> usize {
+    pub fn samples(&self) -> usize {
         match self {
-            Self::Simulated(dataset) => dataset.len(),
-            Self::Imported(dataset) => dataset.len(),
+            Self::Simulated(dataset) => dataset.samples(),
+            Self::Imported(dataset) => dataset.samples(),
         }
-    }
-
-    /// Whether the dataset has no samples.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Returns the layout of the samples.
@@ -124,7 +111,7 @@ impl AnyDataset {
         frames: FramePlace,
         progress: &dyn Progress,
     ) -> Result<Samples, DatasetError> {
-        let all = self.len() + test.map_or(0, Self::len);
+        let all = self.samples() + test.map_or(0, Self::samples);
         let layout = match (self, test) {
             (Self::Simulated(own), Some(Self::Simulated(test))) if own.layout() != test.layout() => {
                 Arc::new(own.layout().shared_with(test.layout()))

@@ -24,7 +24,11 @@ impl Imported {
     pub fn open(root: &Path, name: &str) -> Result<Self, DatasetError> {
         let folder = root.join(name);
         if !folder.join(Description::FILE).exists() {
-            return Err(DatasetError::NotImported { name: name.to_owned(), root: root.to_owned() });
+            return Err(DatasetError::Unsuitable(format!(
+                "there is no imported dataset {name} in {}; import it with `harness import MAPPING.yaml` of the Python \
+                 package, or name a dataset that is there",
+                root.display()
+            )));
         }
         let damaged = |problem| DatasetError::Damaged { path: folder.join(Description::FILE), problem };
         let description = Description::read(&folder).map_err(damaged)?;
@@ -55,13 +59,8 @@ impl Imported {
     }
 
     /// Returns the number of samples in the whole dataset.
-    pub fn len(&self) -> usize {
+    pub fn samples(&self) -> usize {
         self.content.samples().sum()
-    }
-
-    /// Whether the dataset has no samples.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Returns the layout of the samples.
@@ -71,20 +70,29 @@ impl Imported {
 
     /// Checks that the dataset has the modalities that a run uses, and an episode as long as its window.
     pub fn check(&self, spec: &RunSpec) -> Result<(), DatasetError> {
+        let name = &self.name;
         let missing = spec.modalities().into_iter().find(|modality| self.layout.get(*modality).is_none());
         if let Some(modality) = missing {
-            let held: Vec<&str> = self.layout.names().map(Modality::name).collect();
-            return Err(DatasetError::Lacks { dataset: self.name.clone(), modality, held: held.join(", ") });
+            let held = self.layout.names().map(Modality::name).collect::<Vec<_>>().join(", ");
+            return Err(DatasetError::Unsuitable(format!(
+                "the dataset {name} contains no {modality}, which the experiment needs; it contains {held}"
+            )));
         }
         let split = self.labels().split(&spec.split);
         if spec.test.is_none() && (split.has_groups() || matches!(split.by, Division::Label(_))) {
-            self.parts(&spec.split)
-                .map_err(|problem| DatasetError::Split { dataset: self.name.clone(), problem })?;
+            self.parts(&spec.split).map_err(|problem| {
+                DatasetError::Split(format!("the dataset {name} can't be divided: {problem}"))
+            })?;
         }
         let longest = self.content.samples().max().unwrap_or_default();
         if longest < spec.window.samples() {
             let Window { context, horizon, .. } = spec.window;
-            return Err(DatasetError::TooShort { dataset: self.name.clone(), longest, context, horizon });
+            return Err(DatasetError::TooShort(format!(
+                "the longest episode of the dataset {name} has {}, and a window of {context} that are seen and {horizon} \
+                 that are predicted needs {}; lower window.context or window.horizon, or import longer episodes",
+                counted(longest, "sample"),
+                context + horizon
+            )));
         }
         Ok(())
     }

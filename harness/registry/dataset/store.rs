@@ -115,13 +115,8 @@ impl Dataset {
     }
 
     /// Returns the number of samples in the whole dataset.
-    pub fn len(&self) -> usize {
+    pub fn samples(&self) -> usize {
         self.spec.episodes as usize * self.spec.samples_per_episode()
-    }
-
-    /// Whether the dataset has no samples.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// The dataset, from which these modalities alone are read.
@@ -141,11 +136,6 @@ impl Dataset {
 
     fn episode_path(&self, index: u32) -> PathBuf {
         self.folder.join(episode_file(index))
-    }
-
-    /// Whether each episode has a file. It may be damaged.
-    pub fn has_every_file(&self) -> bool {
-        (0..self.spec.episodes).all(|index| self.episode_path(index).exists())
     }
 
     /// Returns the number of episodes that have a file. It may be damaged.

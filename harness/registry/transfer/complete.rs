@@ -1,5 +1,6 @@
 //! Complete copies: runs with all their files, and the datasets that they used, in another results folder.
 
+use super::publish::check_target;
 use super::{Busy, PublishError};
 use crate::dataset::{Dataset, MODEL, inspect};
 use crate::{RECORD, Recorded, Registry, RegistryError, Status, UNCOMMITTED};
@@ -45,15 +46,19 @@ pub fn publish_completely(
     to: &Registry,
     progress: &dyn Progress,
 ) -> Result<Completed, PublishError> {
-    if registry.contains(to.root()) {
-        return Err(PublishError::IntoItself(registry.root().to_owned()));
-    }
+    check_target(registry, to)?;
     let runs: Vec<&Recorded> = chosen.iter().filter(|(_, record)| record.status == Status::Done).collect();
     if runs.is_empty() {
-        return Err(PublishError::NotDone(registry.command("ls")));
+        return Err(PublishError::Refused(format!(
+            "none of these runs is done, so there is nothing to copy; `{}` shows why",
+            registry.command("ls")
+        )));
     }
     if let Some((_, record)) = runs.iter().find(|(_, record)| record.is_merged()) {
-        return Err(PublishError::Merged(record.name()));
+        return Err(PublishError::Refused(format!(
+            "{} is a published copy, which has no tables of its own to copy; publish it without --complete",
+            record.name()
+        )));
     }
     let mut done = Completed::default();
     let mut folders = Vec::new();
@@ -141,7 +146,11 @@ impl Folder {
             // Descriptions of a simulated dataset may differ in the number of episodes.
             let may_differ = name == DESCRIPTION && Dataset::at(&self.to).is_ok();
             if !may_differ && read(&self.to, &name)? != read(&self.from, &name)? {
-                return Err(PublishError::Differs { folder: self.to.clone(), file: name });
+                return Err(PublishError::Refused(format!(
+                    "{} exists already with other content ({name}); nothing was copied. Choose another folder, or \
+                     remove what is there",
+                    self.to.display()
+                )));
             }
         }
         self.files = missing;

@@ -12,7 +12,7 @@ use harness_tables::TableError;
 use harness_tables::schema::Table;
 use polars::prelude::*;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Why runs can't be published.
 #[derive(Debug, thiserror::Error)]
@@ -20,29 +20,9 @@ pub enum PublishError {
     /// A file can't be read or written.
     #[error(transparent)]
     Registry(#[from] RegistryError),
-    /// The target of publishing is the results folder itself.
-    #[error("{} can't be published into itself; choose another folder", .0.display())]
-    IntoItself(PathBuf),
-    /// The target of publishing has a run that a copy would replace, and that is not a copy itself.
-    #[error("publishing would replace {}, which is not a published copy; choose another folder", .0.display())]
-    NotPublished(PathBuf),
-    /// A run is to be copied completely, and shares its tables with other published runs.
-    #[error("{0} is a published copy, which has no tables of its own to copy; publish it without --complete")]
-    Merged(String),
-    /// None of the chosen runs is done.
-    #[error("none of these runs is done, so there is nothing to copy; `{0}` shows why")]
-    NotDone(String),
-    /// A run or a dataset is there with other content.
-    #[error(
-        "{} exists already with other content ({file}); nothing was copied. Choose another folder, or remove what is \
-         there", folder.display()
-    )]
-    Differs {
-        /// The folder of the run or the dataset.
-        folder: PathBuf,
-        /// The file that differs.
-        file: String,
-    },
+    /// The runs can't be copied, or not to this place. The text is the message.
+    #[error("{0}")]
+    Refused(String),
     /// Another process works in the folder of a copy.
     #[error(transparent)]
     Busy(#[from] Busy),
@@ -97,9 +77,7 @@ pub fn publish<'a>(
     content: Content,
     progress: &dyn Progress,
 ) -> Result<Published, PublishError> {
-    if registry.contains(to.root()) {
-        return Err(PublishError::IntoItself(registry.root().to_owned()));
-    }
+    check_target(registry, to)?;
     let chosen: Vec<_> = chosen.into_iter().collect();
     let shown = Shown::of(chosen.iter().map(|(_, record)| *record));
     let is_replaced = |other: &RunRecord| chosen.iter().any(|(_, record)| is_same(other, record));
@@ -107,7 +85,10 @@ pub fn publish<'a>(
     if let Some((folder, _)) =
         to.recorded().into_iter().find(|(_, other)| !other.is_merged() && is_replaced(other))
     {
-        return Err(PublishError::NotPublished(folder));
+        return Err(PublishError::Refused(format!(
+            "publishing would replace {}, which is not a published copy; choose another folder",
+            folder.display()
+        )));
     }
     let mut experiments: BTreeMap<&str, Vec<(&Path, &RunRecord)>> = BTreeMap::new();
     for (folder, record) in &chosen {
@@ -128,6 +109,17 @@ pub fn publish<'a>(
     }
     progress.end();
     Ok(published)
+}
+
+/// Refuses to publish a results folder into itself.
+pub(super) fn check_target(registry: &Registry, to: &Registry) -> Result<(), PublishError> {
+    match registry.contains(to.root()) {
+        false => Ok(()),
+        true => Err(PublishError::Refused(format!(
+            "{} can't be published into itself; choose another folder",
+            registry.root().display()
+        ))),
+    }
 }
 
 /// Whether two runs are of the same cell and seed.
