@@ -73,10 +73,7 @@ function swatch(series) {
   if (series.line) {
     Object.assign(pen, { strokeStyle: ink(series.color), lineWidth: series.width ?? 1.8 });
     pen.setLineDash(DASHES[series.dash] ?? []);
-    pen.beginPath();
-    pen.moveTo(1, height / 2);
-    pen.lineTo(width - 1, height / 2);
-    pen.stroke();
+    pen.stroke(new Path2D(`M1 ${height / 2}H${width - 1}`));
   }
   if (series.kind) drawMark(pen, series, series.kind, [width / 2, height / 2]);
   return canvas;
@@ -205,7 +202,19 @@ class Chart {
     this.beyond = element("p", { class: "beyond", hidden: "" });
     place.append(...(this.small ? [] : [this.legend.list]), this.frame, this.beyond);
     this.listen();
-    this.observer = new ResizeObserver(() => this.frame.clientWidth !== this.plot.width && this.plot.setSize(this.size()));
+    this.observer = new ResizeObserver(() => (this.frame.isConnected ? this.fit() : this.remove()));
+  }
+
+  fit() {
+    if (this.frame.clientWidth !== this.plot.width) this.plot.setSize(this.size());
+  }
+
+  /** Lets go of everything outside of the chart, once it was taken from the page. */
+  remove() {
+    painted.delete(this);
+    this.legend.charts.delete(this);
+    this.observer.disconnect();
+    this.plot.destroy();
   }
 
   isHidden(series) {
@@ -220,7 +229,7 @@ class Chart {
 
   show(content) {
     const { x, y } = content;
-    const kept = this.isZoomed && this.content.x.label === x.label ? this.visible() : {};
+    const kept = this.isZoomed && this.content.x.label === x.label ? { ...this.seen } : {};
     if (this.content?.y.label !== y.label) delete kept.y;
     const isThere = (point) => isNumber(point.y) && (!y.logarithmic || point.y > 0);
     const there = content.series.map((one) => ({ ...one, points: one.points.filter(isThere) }));
@@ -247,6 +256,7 @@ class Chart {
     if (point) this.tell(series, point);
     painted.add(this);
     this.observer.observe(this.frame);
+    return this;
   }
 
   options() {
@@ -276,7 +286,7 @@ class Chart {
     if (y.logarithmic) Object.assign(up, { splits: (_, index, min, max) => logarithmicTicks(min, max), filter: (_, splits) => splits });
     const isFixed = y.low !== undefined;
     // Without visible values there are no ends.
-    const around = y.logarithmic ? (_, min, max) => [(min ?? 0.1) / 1.06, (max ?? 1) * 1.06] : (_, min, max) => roomy(min ?? 0, max ?? 1);
+    const around = (_, min, max) => (y.logarithmic ? [(min ?? 0.1) / 1.06, (max ?? 1) * 1.06] : roomy(min ?? 0, max ?? 1));
     return {
       ...this.size(),
       scales: {
@@ -317,7 +327,8 @@ class Chart {
         Object.assign(pen, { strokeStyle: ink(series.color), lineWidth: 1.2 });
         pen.setLineDash([]);
         pen.beginPath();
-        for (const bound of point.bounds) pen.lineTo(place[0], Math.min(Math.max(this.plot.valToPos(bound, "y"), 0), over.clientHeight));
+        const ends = point.bounds.map((bound) => this.plot.valToPos(bound, "y"));
+        for (const end of ends) pen.lineTo(place[0], Math.min(Math.max(end, 0), over.clientHeight));
         pen.stroke();
       }
       drawMark(pen, series, point.y > high ? "above" : point.y < low ? "below" : series.kind, place);
@@ -336,11 +347,7 @@ class Chart {
 
   // --- Zooming ---
 
-  /** The visible range of each axis that can be zoomed. */
-  visible() {
-    return this.ranges((axis) => [this.plot.scales[axis].min, this.plot.scales[axis].max]);
-  }
-
+  /** A range of each axis that can be zoomed. */
   ranges(of) {
     return Object.fromEntries(Object.keys(this.home).map((axis) => [axis, of(axis)]));
   }
@@ -351,6 +358,7 @@ class Chart {
     const lengths = Object.keys(this.home).map((axis) => (ranges[axis][1] - ranges[axis][0]) / (this.home[axis][1] - this.home[axis][0]));
     if (lengths.some((length) => !(length > 1e-6))) return;
     this.isZoomed = lengths.some((length) => length < 1);
+    this.seen = ranges;
     this.plot.batch(() => {
       for (const [axis, [min, max]] of Object.entries(ranges)) this.plot.setScale(axis, { min, max });
     });
@@ -362,9 +370,8 @@ class Chart {
    * lower left corner.
    */
   zoom(factor, from, to = from) {
-    const seen = this.visible();
     this.look(this.ranges((axis) => {
-      const [low, high] = seen[axis];
+      const [low, high] = this.seen[axis];
       const length = (high - low) * factor;
       const start = low + from[axis] * (high - low) - to[axis] * length;
       return [start, start + length];
@@ -484,9 +491,8 @@ class Chart {
     const index = this.at ? this.at.series.points.indexOf(this.at.point) : side > 0 && side < Infinity ? -1 : 0;
     const point = series.points[Math.min(Math.max(index + side, 0), series.points.length - 1)];
     if (!this.placeOf(point)) {
-      const seen = this.visible();
       this.look(this.ranges((axis) => {
-        const half = (seen[axis][1] - seen[axis][0]) / 2;
+        const half = (this.seen[axis][1] - this.seen[axis][0]) / 2;
         return [point[axis] - half, point[axis] + half];
       }));
     }
@@ -551,18 +557,9 @@ class Chart {
   /** Hides and shows the series as `hidden` says. */
   hideSeries() {
     this.hide();
-    const seen = this.visible();
     this.plot.batch(() => {
       this.content.series.forEach((series, place) => this.plot.setSeries(place + 1, { show: !this.isHidden(series) }));
     });
-    this.look(seen);
-  }
-
-  remove() {
-    painted.delete(this);
-    this.legend.charts.delete(this);
-    this.beyond.remove();
-    this.observer.disconnect();
-    this.plot?.destroy();
+    this.look(this.seen);
   }
 }

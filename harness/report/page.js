@@ -12,50 +12,42 @@ const BLOCK = 16;
  * Plays a clip's pictures in a loop, at the speed of the simulation. Each picture consists of the first one and of the blocks that
  * differ from it.
  */
-class Clip {
-  constructor(figure, clip) {
-    this.clip = clip;
-    this.still = figure.querySelector("img");
-    const [width, height, alt] = ["width", "height", "alt"].map((name) => this.still.getAttribute(name));
-    this.canvas = element("canvas", { width, height, role: "img", "aria-label": alt });
-    this.changes = clip.frames.map(({ picture }) => Object.assign(new Image(), { src: `data:image/jpeg;base64,${picture}` }));
-    Promise.all([this.still, ...this.changes].map((image) => image.decode())).then(() => {
-      this.still.replaceWith(this.canvas);
-      this.show(Number(this.slider.value));
+function addClip(figure, { frames, seconds }) {
+  const [still, button, slider, output] = ["img", "button", "input", "output"].map((name) => figure.querySelector(name));
+  const [width, height, alt] = ["width", "height", "alt"].map((name) => still.getAttribute(name));
+  const canvas = element("canvas", { width, height, role: "img", "aria-label": alt });
+  const pen = canvas.getContext("2d");
+  const changes = frames.map(({ picture }) => Object.assign(new Image(), { src: `data:image/jpeg;base64,${picture}` }));
+  const columns = width / BLOCK;
+  const corner = (block) => [(block % columns) * BLOCK, Math.floor(block / columns) * BLOCK];
+  function show(frame) {
+    slider.value = frame;
+    pen.drawImage(still, 0, 0);
+    frames[frame].blocks.forEach((block, place) => {
+      pen.drawImage(changes[frame], ...corner(place), BLOCK, BLOCK, ...corner(block), BLOCK, BLOCK);
     });
-    [this.button, this.slider, this.output] = ["button", "input", "output"].map((name) => figure.querySelector(name));
-    this.slider.max = clip.frames.length - 1;
-    this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
-    this.button.addEventListener("click", () => (this.timer ? this.pause() : this.play()));
-    figure.querySelector(".controls").hidden = false;
-    this.show(0);
+    output.textContent = `${(frame * seconds).toFixed(1)} s`;
+    slider.setAttribute("aria-valuetext", output.textContent);
   }
-
-  show(frame) {
-    const pen = this.canvas.getContext("2d");
-    const columns = this.canvas.width / BLOCK;
-    const corner = (block) => [(block % columns) * BLOCK, Math.floor(block / columns) * BLOCK];
-    pen.drawImage(this.still, 0, 0);
-    this.clip.frames[frame].blocks.forEach((block, place) => {
-      pen.drawImage(this.changes[frame], ...corner(place), BLOCK, BLOCK, ...corner(block), BLOCK, BLOCK);
-    });
-    this.slider.value = frame;
-    const time = `${(frame * this.clip.seconds).toFixed(1)} s`;
-    this.output.textContent = time;
-    this.slider.setAttribute("aria-valuetext", time);
+  let timer;
+  function play() {
+    timer = setInterval(() => show((Number(slider.value) + 1) % frames.length), 1000 * seconds);
+    button.textContent = "Pause";
   }
-
-  play() {
-    const next = () => this.show((Number(this.slider.value) + 1) % this.clip.frames.length);
-    this.timer = setInterval(next, 1000 * this.clip.seconds);
-    this.button.textContent = "Pause";
+  function pause() {
+    clearInterval(timer);
+    timer = undefined;
+    button.textContent = "Play";
   }
-
-  pause() {
-    clearInterval(this.timer);
-    this.timer = undefined;
-    this.button.textContent = "Play";
-  }
+  slider.max = frames.length - 1;
+  slider.addEventListener("input", () => show(Number(slider.value)));
+  button.addEventListener("click", () => (timer ? pause() : play()));
+  figure.querySelector(".controls").hidden = false;
+  show(0);
+  Promise.all([still, ...changes].map((image) => image.decode())).then(() => {
+    still.replaceWith(canvas);
+    show(Number(slider.value));
+  });
 }
 
 // --- Choices ---
@@ -85,7 +77,7 @@ function addChoices(place, rows, fields, changed) {
     for (const part of parts) {
       const { key, words } = part;
       part.offered = part.values?.(left) ?? distinct(left.map((row) => row[key]).filter((value) => value !== null));
-      part.label.hidden = part.unless?.(chosen) || (part.isOptional && part.offered.length < 2) || false;
+      part.label.hidden = part.unless?.(chosen) || (part.isOptional && part.offered.length < 2);
       if (part.label.hidden) continue;
       const first = typeof part.first === "function" ? part.first(left) : part.first;
       const wanted = [part.chosen, first].find((value) => part.offered.includes(value)) ?? part.offered[0];
@@ -114,10 +106,7 @@ function addChart(place, rows, fields, contentOf) {
 
 /** The element of the row whose values differ most, such as the link that is touched most. */
 function liveliest(rows, valuesOf) {
-  const spread = (row) => {
-    const [low, high] = extent(valuesOf(row));
-    return high - low;
-  };
+  const spread = (row) => extent(valuesOf(row)).reduce((low, high) => high - low);
   return rows.reduce((most, row) => (spread(row) > spread(most) ? row : most), rows[0])?.element;
 }
 
@@ -125,7 +114,10 @@ function liveliest(rows, valuesOf) {
 
 const BOTH = "both";
 const DIRECTIONS = { fe: "flexion/extension", aa: "adduction/abduction" };
+const METRICS = { r2: "R\u00b2", rmse: "RMSE", mae: "MAE", smape: "SMAPE", wmape: "WMAPE" };
 const MODALITIES = { proprioception: "joint angles", contact_force: "contact forces" };
+const spaced = (name) => name.replaceAll("_", " ");
+const metricWords = (name) => METRICS[name] ?? spaced(name);
 const modalityWords = (name) => MODALITIES[name] ?? spaced(name);
 const beforeUnit = (text, unit) => (unit === "1" || unit === "" ? text : `${text} ${unit}`);
 const overWords = (over) => (over === "one seed" ? over : `mean over ${over} [95 % interval]`);
@@ -136,7 +128,7 @@ const FIELDS = {
   metric: { key: "metric", label: "Metric", first: "r2", words: metricWords },
   direction: {
     key: "direction", label: "Direction", words: (name) => DIRECTIONS[name] ?? name, isOptional: true,
-    values: (left) => (left.some((row) => (row.directions ?? [row.direction]).some((direction) => direction !== null)) ? [BOTH, ...Object.keys(DIRECTIONS)] : []),
+    values: (left) => (left.some(isOfFinger) ? [BOTH, ...Object.keys(DIRECTIONS)] : []),
   },
 };
 
@@ -199,6 +191,22 @@ function valuePoint(x, [mean, ...bounds], { metric, unit }, says, more = []) {
 /** The networks' means are over seeds, and baselines have none. */
 const overOf = (row) => (row.model === "network" ? [overWords(row.over)] : []);
 
+/** The axis of a metric. Its range is chosen for the networks. Baselines beyond it are named below the chart. */
+function metricAxis(metric, unit, series) {
+  const label = withUnit(metricWords(metric), unit);
+  const networks = series.filter((one) => !one.behind);
+  const points = (networks.length ? networks : series).flatMap((one) => one.points);
+  // The metric isn't defined for any point. For example, a link that is never touched has no percentage.
+  if (points.length === 0) return { label, low: 0, high: 1 };
+  const ends = points.flatMap((point) => point.bounds ?? [point.y]);
+  // R2 and skill have no lower bound, but values below -1 need not be told apart. The skill of persistence is 0.
+  const start = { r2: 0.9, skill: 0 }[metric.split("_")[0]];
+  if (start !== undefined) return { label, low: Math.max(-1, Math.floor(Math.min(start, ...ends) * 10) / 10), high: 1 };
+  const [, most] = extent(points.map((point) => point.y));
+  const [, reach] = extent([...ends, ...series.flatMap((one) => one.points.map((point) => point.y))]);
+  return { label, low: 0, high: Math.min(reach, 1.4 * most) * 1.04 || 1 };
+}
+
 function jointSeries(rows, directions) {
   return rows.flatMap((row) => directions.map((direction) => {
     const places = row.values.map((value, joint) => ({ value, joint }));
@@ -240,7 +248,7 @@ function sharedLatent(rows) {
 }
 
 /** Whether a row is about the joints or links of a finger, which have directions. */
-const isOfFinger = (row) => row.directions.some((direction) => direction !== null);
+const isOfFinger = (row) => (row.directions ?? [row.direction]).some((direction) => direction !== null);
 
 /** The name of a row's element: the number of a finger's joint or link, or the element's own name. */
 function elementWords(row, index) {
@@ -302,9 +310,10 @@ function showRegression(place) {
     // Without directions, each element has axes of its own.
     const keys = ["modality", "scenario", "element"].filter((key) => chosen[key] !== undefined);
     const alike = data.regression.filter((cloud) => keys.every((key) => cloud[key] === chosen[key]));
-    const range = withMargin(alike.flatMap((cloud) => cloud.points.flatMap(([, , reference, predicted]) => [reference, predicted])));
+    const range = withMargin(alike.flatMap((cloud) => cloud.points.flatMap(([, , ...values]) => values)));
     const axis = (words) => ({ label: withUnit(words, clouds[0]?.unit ?? "1"), ...range });
-    const diagonal = { color: "faint", width: 1, line: true, behind: true, points: [range.low, range.high].map((end) => ({ x: end, y: end })) };
+    const ends = [range.low, range.high].map((end) => ({ x: end, y: end }));
+    const diagonal = { color: "faint", width: 1, line: true, behind: true, points: ends };
     const series = [diagonal, ...clouds.map(cloudSeries)];
     return { title: "Prediction over reference", x: axis("reference"), y: axis("predicted"), square: true, series };
   });
@@ -409,7 +418,6 @@ function orderedTerms(terms) {
 function showTraining(place) {
   const grid = element("div", { class: "terms" });
   const legend = new Legend();
-  let charts = [];
   const studies = distinct(data.training.map((row) => row.experiment));
   const wanted = ["multi_to_multi", "single_to_multi"];
   const first = wanted.flatMap((study) => studies.filter((name) => name === study || name === `${study}-quick`))[0];
@@ -422,22 +430,15 @@ function showTraining(place) {
   addChoices(place, data.training, fields, (chosen, [run]) => {
     if (!grid.isConnected) place.append(legend.list, grid, hint());
     const others = data.training.filter((row) => row !== run && row.experiment === run.experiment && row.task === run.task);
-    charts.forEach((chart) => chart.remove());
     grid.replaceChildren();
-    charts = orderedTerms(run.terms).map((term) => {
+    for (const term of orderedTerms(run.terms)) {
       const figure = element("figure", { "data-term": term }, element("figcaption", {}, termWords(term)));
       grid.append(figure);
       const series = [...others.flatMap((other) => curves(other, term, true)), ...curves(run, term, false)];
-      const chart = new Chart(figure, legend);
-      chart.show({
-        title: `Training curves of the ${termWords(term)}`,
-        x: { label: "epoch", low: 1, whole: true },
-        y: { label: term === "total" || term === "kl" ? "loss" : "error", logarithmic: chosen.scale === "logarithmic" },
-        series,
-      });
+      const y = { label: term === "total" || term === "kl" ? "loss" : "error", logarithmic: chosen.scale === "logarithmic" };
+      new Chart(figure, legend).show({ title: `Training curves of the ${termWords(term)}`, x: EPOCHS, y, series });
       figure.append(element("p", { class: "aside" }, endWords(run.terms[term])));
-      return chart;
-    });
+    }
   });
 }
 
@@ -493,5 +494,5 @@ for (const [id, show] of Object.entries(parts)) {
   const place = document.getElementById(id);
   if (place) show(place);
 }
-document.querySelectorAll(".clip").forEach((figure, place) => new Clip(figure, data.clips[place]));
+document.querySelectorAll(".clip").forEach((figure, place) => addClip(figure, data.clips[place]));
 }
