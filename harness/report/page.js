@@ -220,24 +220,19 @@ function jointSeries(rows, directions) {
 
 /** Series over latent sizes, of all joints or links of a direction together. A baseline is the same at every size. */
 function latentSeries(rows, directions, latents) {
-  const lines = new Map();
-  for (const row of rows) {
-    for (const direction of directions) {
-      // Elements of different units have a value for each unit, and none for all of them.
-      const value = direction === null ? row.overall.all ?? row.overall[`in ${row.unit}`] ?? Object.values(row.overall)[0] : row.overall[direction];
-      if (!value) continue;
-      const look = lookOf(row, direction);
-      // Studies on different data have different baselines of the same name.
-      const key = `${row.study} ${look.name}`;
-      const line = lines.get(key) ?? { ...look, points: [] };
-      const places = row.latent === null ? latents.map((_, place) => place) : [latents.indexOf(row.latent)];
-      const says = (place) => (row.latent === null ? "at every latent size" : `latent size ${latents[place]}`);
-      line.points.push(...places.map((place) => valuePoint(place, value, row, says(place), overOf(row))));
-      if (row.latent === null) line.kind = undefined;
-      lines.set(key, line);
-    }
-  }
-  return [...lines.values()];
+  const parts = rows.flatMap((row) => directions.map((direction) => {
+    // Elements of different units have a value for each unit, and none for all of them.
+    const ofAll = row.overall.all ?? row.overall[`in ${row.unit}`] ?? Object.values(row.overall)[0];
+    const value = direction === null ? ofAll : row.overall[direction];
+    const isFlat = row.latent === null;
+    const places = isFlat ? latents.map((_, place) => place) : [latents.indexOf(row.latent)];
+    const says = (place) => (isFlat ? "at every latent size" : `latent size ${latents[place]}`);
+    const points = value ? places.map((place) => valuePoint(place, value, row, says(place), overOf(row))) : [];
+    return { ...lookOf(row, direction), ...(isFlat && { kind: undefined }), study: row.study, points };
+  }));
+  // Studies on different data have different baselines of the same name.
+  const lines = Map.groupBy(parts.filter(({ points }) => points.length > 0), ({ study, name }) => `${study} ${name}`);
+  return [...lines.values()].map((parts) => ({ ...parts[0], points: parts.flatMap(({ points }) => points) }));
 }
 
 /** The smallest of the latent sizes that the most studies have. */
