@@ -30,18 +30,14 @@ function addClip(figure, { frames, seconds }) {
     slider.setAttribute("aria-valuetext", output.textContent);
   }
   let timer;
-  function play() {
-    timer = setInterval(() => show((Number(slider.value) + 1) % frames.length), 1000 * seconds);
-    button.textContent = "Pause";
-  }
-  function pause() {
+  function toggle() {
     clearInterval(timer);
-    timer = undefined;
-    button.textContent = "Play";
+    timer = timer ? undefined : setInterval(() => show((Number(slider.value) + 1) % frames.length), 1000 * seconds);
+    button.textContent = timer ? "Pause" : "Play";
   }
   slider.max = frames.length - 1;
   slider.addEventListener("input", () => show(Number(slider.value)));
-  button.addEventListener("click", () => (timer ? pause() : play()));
+  button.addEventListener("click", toggle);
   figure.querySelector(".controls").hidden = false;
   show(0);
   Promise.all([still, ...changes].map((image) => image.decode())).then(() => {
@@ -200,8 +196,8 @@ function metricAxis(metric, unit, series) {
   if (points.length === 0) return { label, low: 0, high: 1 };
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
   // R2 and skill have no lower bound, but values below -1 need not be told apart. The skill of persistence is 0.
-  const start = { r2: 0.9, skill: 0 }[metric.split("_")[0]];
-  if (start !== undefined) return { label, low: Math.max(-1, Math.floor(Math.min(start, ...ends) * 10) / 10), high: 1 };
+  const start = metric === "skill" ? 0 : 0.9;
+  if (/^(skill$|r2$|r2_)/.test(metric)) return { label, low: Math.max(-1, Math.floor(Math.min(start, ...ends) * 10) / 10), high: 1 };
   const [, most] = extent(points.map((point) => point.y));
   const [, reach] = extent([...ends, ...series.flatMap((one) => one.points.map((point) => point.y))]);
   return { label, low: 0, high: Math.min(reach, 1.4 * most) * 1.04 || 1 };
@@ -430,7 +426,7 @@ function showTraining(place) {
       const figure = element("figure", { "data-term": term }, element("figcaption", {}, termWords(term)));
       grid.append(figure);
       const series = [...others.flatMap((other) => curves(other, term, true)), ...curves(run, term, false)];
-      const y = { label: term === "total" || term === "kl" ? "loss" : "error", logarithmic: chosen.scale === "logarithmic" };
+      const y = { label: Object.hasOwn(TERMS, term) ? "loss" : "error", logarithmic: chosen.scale === "logarithmic" };
       new Chart(figure, legend).show({ title: `Training curves of the ${termWords(term)}`, x: EPOCHS, y, series });
       figure.append(element("p", { class: "aside" }, endWords(run.terms[term])));
     }

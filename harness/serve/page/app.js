@@ -715,7 +715,7 @@ opened.sql = async () => {
   find("columns").replaceChildren(...tables.map((table) => element("details", {},
     element("summary", {}, table.name), element("p", {}, table.meaning),
     element("dl", {}, ...table.columns.flatMap((column) => [
-      element("dt", {}, column.unit && column.unit !== "1" ? `${column.name} (${column.unit})` : column.name),
+      element("dt", {}, withUnit(column.name, column.unit ?? "")),
       element("dd", {}, column.meaning),
     ])))));
 };

@@ -128,8 +128,8 @@ class BigTable {
   groupRow(group) {
     const button = element("button", { type: "button", "aria-expanded": String(group.open) }, group.open ? "−" : "+");
     const cells = this.columns.map((column, index) => {
-      const numbers = group.rows.map((row) => column.values[row]).filter(isNumber);
       if (index === 0) return element("td", {}, `${shown(group.group)} (${group.rows.length})`);
+      const numbers = group.rows.map((row) => column.values[row]).filter(isNumber);
       if (!column.metric || numbers.length === 0) return element("td");
       const title = `mean ± standard deviation of ${numbers.length} ${numbers.length === 1 ? "run" : "runs"}`;
       return element("td", { class: "number", title }, `mean ${meanText(meanOf(numbers))}`);
