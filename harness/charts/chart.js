@@ -9,12 +9,10 @@ const REACH = 40;
 const MOST_VALUES = 6;
 /** The width of a letter and the height of a line below an axis, px. */
 const [LETTER, LINE] = [7, 18];
-/** An outlier is at least this many times as far from the other values as these are from each other. */
-const FAR = 9;
 
 // --- Themes ---
 
-/** The charts and legends on the page. */
+/** The charts on the page. */
 const painted = new Set();
 const inks = new Map();
 
@@ -34,7 +32,7 @@ function ink(name) {
 function paint(theme) {
   document.documentElement.style.colorScheme = theme;
   inks.clear();
-  for (const one of painted) one.paint();
+  for (const chart of painted) chart.show(chart.content);
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => paint(""));
 addEventListener("beforeprint", () => paint("light"));
@@ -42,31 +40,28 @@ addEventListener("afterprint", () => paint(""));
 
 // --- Marks and legends ---
 
-/** Draws a mark. `beyond` is -1 below the axis, 1 above it, and otherwise 0. */
-function drawMark(pen, series, [x, y], beyond = 0) {
-  pen.beginPath();
-  if (beyond) {
-    pen.moveTo(x - 4, y + 3 * beyond);
-    pen.lineTo(x + 4, y + 3 * beyond);
-    pen.lineTo(x, y - 3 * beyond);
-    pen.closePath();
-  } else if (series.kind === "square") {
-    pen.rect(x - 3.2, y - 3.2, 6.4, 6.4);
-  } else if (series.kind === "bar") {
-    pen.rect(x - 1.8, y - 4.6, 3.6, 9.2);
-  } else if (series.kind === "diamond") {
-    for (const [right, down] of [[0, -4.8], [4.8, 0], [0, 4.8], [-4.8, 0]]) pen.lineTo(x + right, y + down);
-    pen.closePath();
-  } else {
-    pen.arc(x, y, series.kind === "dot" ? 2.6 : 3.6, 0, 2 * Math.PI);
-  }
-  pen.fillStyle = ink(series.hollow ? "ground" : series.color);
-  pen.fill();
-  // The outlines of transparent marks would be darker.
-  if (series.alpha) return;
-  Object.assign(pen, { strokeStyle: ink(series.color), lineWidth: 1.5 });
+/** The shapes of marks, as SVG paths. Those of points beyond an axis point away from it. */
+const MARKS = {
+  dot: "M-2.6 0a2.6 2.6 0 1 0 5.2 0a2.6 2.6 0 1 0 -5.2 0z",
+  disc: "M-3.6 0a3.6 3.6 0 1 0 7.2 0a3.6 3.6 0 1 0 -7.2 0z",
+  square: "M-3.2 -3.2h6.4v6.4h-6.4z",
+  bar: "M-1.8 -4.6h3.6v9.2h-3.6z",
+  diamond: "M0 -4.8L4.8 0L0 4.8L-4.8 0z",
+  above: "M-4 3h8L0 -3z",
+  below: "M-4 -3h8L0 3z",
+};
+
+/** Draws a mark of a series at a place. */
+function drawMark(pen, series, shape, [x, y]) {
+  const mark = new Path2D(MARKS[shape]);
+  pen.save();
+  pen.translate(x, y);
   pen.setLineDash([]);
-  pen.stroke();
+  Object.assign(pen, { fillStyle: ink(series.hollow ? "ground" : series.color), strokeStyle: ink(series.color), lineWidth: 1.5 });
+  pen.fill(mark);
+  // The outlines of transparent marks would be darker.
+  if (!series.alpha) pen.stroke(mark);
+  pen.restore();
 }
 
 /** A sample of a series' line and mark. */
@@ -78,67 +73,43 @@ function swatch(series) {
   if (series.line) {
     Object.assign(pen, { strokeStyle: ink(series.color), lineWidth: series.width ?? 1.8 });
     pen.setLineDash(DASHES[series.dash] ?? []);
-    pen.beginPath();
-    pen.moveTo(1, height / 2);
-    pen.lineTo(width - 1, height / 2);
-    pen.stroke();
+    pen.stroke(new Path2D(`M1 ${height / 2}H${width - 1}`));
   }
-  if (series.kind) drawMark(pen, series, [width / 2, height / 2]);
+  if (series.kind) drawMark(pen, series, series.kind, [width / 2, height / 2]);
   return canvas;
 }
 
 const entryOf = (series) => series.entry ?? series.name;
 
-/**
- * The legend of charts with the same series. A click on an entry hides its series, or shows them again. `hidden` has the
- * entries that are hidden.
- */
+/** The legend of charts with the same series. A click on an entry hides its series in all of them, or shows them again. */
 class Legend {
-  constructor(hidden, changed) {
-    Object.assign(this, { hidden, changed });
+  constructor() {
     this.list = element("ul", { class: "legend" });
-    painted.add(this);
+    this.charts = new Set();
+    /** The entries that are hidden. */
+    this.hidden = new Set();
   }
 
   /** Shows an entry for each different entry of the series with a name. */
   show(series) {
-    this.series = series;
     const named = series.filter((one) => one.name);
     const first = named.filter((one, place) => named.findIndex((other) => entryOf(other) === entryOf(one)) === place);
-    this.list.replaceChildren(...[...first.filter((one) => !one.behind), ...first.filter((one) => one.behind)].map((one) => {
-      const button = element("button", { type: "button" }, swatch(one), entryOf(one));
-      const tell = () => button.setAttribute("aria-pressed", String(!this.hidden.has(entryOf(one))));
-      button.addEventListener("click", () => {
-        if (!this.hidden.delete(entryOf(one))) this.hidden.add(entryOf(one));
-        tell();
-        this.changed();
-      });
+    const front = [...first.filter((one) => !one.behind), ...first.filter((one) => one.behind)];
+    this.list.replaceChildren(...front.map((one) => element("li", {}, this.button(one))));
+  }
+
+  button(series) {
+    const entry = entryOf(series);
+    const tell = () => button.setAttribute("aria-pressed", String(!this.hidden.has(entry)));
+    const click = () => {
+      if (!this.hidden.delete(entry)) this.hidden.add(entry);
       tell();
-      return element("li", {}, button);
-    }));
+      for (const chart of this.charts) chart.hideSeries();
+    };
+    const button = element("button", { type: "button", click }, swatch(series), entry);
+    tell();
+    return button;
   }
-
-  paint() {
-    if (this.series) this.show(this.series);
-  }
-}
-
-// --- Horizons ---
-
-/** The place of a horizon on its axis, which is logarithmic. */
-const horizonPlace = (horizon) => Math.log10(horizon);
-
-/** The axis of horizons in samples, of which each takes some seconds, if that is known. */
-function horizonAxis(horizons, seconds) {
-  const known = seconds !== null && seconds !== undefined;
-  const places = horizons.map(horizonPlace);
-  const margin = 0.04 * (places.at(-1) - places[0]);
-  return {
-    label: known ? "horizon (s)" : "horizon (samples)",
-    low: places[0] - margin,
-    high: places.at(-1) + margin,
-    ticks: horizons.map((horizon) => ({ at: horizonPlace(horizon), text: shown(known ? horizon * seconds : horizon) })),
-  };
 }
 
 // --- Charts ---
@@ -195,26 +166,6 @@ function roomy(min, max) {
   return [min < 0 ? min - room : 0, max + room];
 }
 
-/**
- * The ends `low` and `high` of an axis without outliers, which would leave a small part of it to all other values. Nothing if there
- * are none. Outliers are fewer than half of the values.
- */
-function withoutOutliers(values) {
-  const sorted = values.filter((value) => typeof value === "number").sort((a, b) => a - b);
-  for (let kept = sorted.length - 1; kept > sorted.length / 2; kept -= 1) {
-    for (let place = 0; place + kept <= sorted.length; place += 1) {
-      const [min, max] = [sorted[place], sorted[place + kept - 1]];
-      const length = max - Math.min(min, 0);
-      const gap = Math.min(min - (sorted[place - 1] ?? -Infinity), (sorted[place + kept] ?? Infinity) - max);
-      if (length > 0 && gap >= FAR * length) {
-        const [low, high] = roomy(min, max);
-        return { low, high };
-      }
-    }
-  }
-  return {};
-}
-
 /** The table that uPlot draws lines from: all x, and a list of values for each series, with null where there is none. */
 function tableOf(series) {
   const xs = distinct(series.flatMap((one) => one.points.map((point) => point.x)));
@@ -230,7 +181,7 @@ function tableOf(series) {
  *
  * The content has a `title`, axes `x` and `y`, and `series`. An axis has a `label`. `low` and `high` are the ends of the
  * axis; without them it ends with the points, and y with those that are visible. x may have `ticks` (`at` and `text`) or be `whole` numbers, and y may be
- * `logarithmic`. A `square` chart compares x with y, so it has a diagonal.
+ * `logarithmic`. A `square` chart compares x with y.
  *
  * A series has a `color`, and optionally a `name`, a shorter `entry` for the legend, an `alpha`, `line` (whether it has a
  * line), its `width` and `dash`, `kind` (the shape of its marks), `hollow`, and `behind` (whether it lies behind others). A
@@ -238,21 +189,36 @@ function tableOf(series) {
  * (the lines of its tooltip); without `says`, the tooltip has the values of all series at this x. A point beyond the ends of y
  * is at the end, with a mark that points away, and is named below the chart.
  *
- * A `small` chart is one of several, which share the set `hidden` and a legend that is not part of them.
+ * Several small charts share a `legend`, which is not part of them.
  */
 class Chart {
-  constructor(place, { small = false, hidden = new Set() } = {}) {
-    Object.assign(this, { small, hidden });
+  constructor(place, legend) {
+    this.small = legend !== undefined;
+    this.legend = legend ?? new Legend();
+    this.legend.charts.add(this);
     this.frame = element("div", { class: "plot", tabindex: "0", role: "group" });
     this.tooltip = element("div", { class: "tooltip", role: "status", hidden: "" });
     this.ring = element("div", { class: "ring", hidden: "" });
-    this.legend = small ? null : new Legend(hidden, () => this.hideSeries());
     this.beyond = element("p", { class: "beyond", hidden: "" });
-    place.append(...(small ? [] : [this.legend.list]), this.frame, this.beyond);
+    place.append(...(this.small ? [] : [this.legend.list]), this.frame, this.beyond);
     this.listen();
-    this.observer = new ResizeObserver(() => this.plot && this.frame.clientWidth !== this.plot.width && this.plot.setSize(this.size()));
-    this.observer.observe(this.frame);
-    painted.add(this);
+    this.observer = new ResizeObserver(() => (this.frame.isConnected ? this.fit() : this.remove()));
+  }
+
+  fit() {
+    if (this.frame.clientWidth !== this.plot.width) this.plot.setSize(this.size());
+  }
+
+  /** Lets go of everything outside of the chart, once it was taken from the page. */
+  remove() {
+    painted.delete(this);
+    this.legend.charts.delete(this);
+    this.observer.disconnect();
+    this.plot.destroy();
+  }
+
+  isHidden(series) {
+    return this.legend.hidden.has(entryOf(series));
   }
 
   size() {
@@ -263,9 +229,9 @@ class Chart {
 
   show(content) {
     const { x, y } = content;
-    const kept = this.isZoomed && this.content.x.label === x.label ? this.visible() : {};
+    const kept = this.isZoomed && this.content.x.label === x.label ? { ...this.seen } : {};
     if (this.content?.y.label !== y.label) delete kept.y;
-    const isThere = (point) => typeof point.y === "number" && (!y.logarithmic || point.y > 0);
+    const isThere = (point) => isNumber(point.y) && (!y.logarithmic || point.y > 0);
     const there = content.series.map((one) => ({ ...one, points: one.points.filter(isThere) }));
     this.content = { ...content, series: [...there.filter((one) => one.behind), ...there.filter((one) => !one.behind)] };
     const [low, high] = [y.low ?? -Infinity, y.high ?? Infinity];
@@ -280,7 +246,7 @@ class Chart {
     const was = this.at;
     this.hide();
     this.look({ ...this.home, ...kept });
-    this.legend?.show(content.series);
+    this.legend.show(this.content.series);
     this.nameBeyond();
     const about = `${content.title}: ${y.label} over ${x.label}.`;
     this.frame.setAttribute("aria-label", `${about} Arrow keys go from point to point, plus and minus zoom, 0 shows everything.`);
@@ -288,6 +254,9 @@ class Chart {
     const series = was && this.told().find((one) => one.name === was.series.name);
     const point = series?.points.find((one) => one.x === was.point.x);
     if (point) this.tell(series, point);
+    painted.add(this);
+    this.observer.observe(this.frame);
+    return this;
   }
 
   options() {
@@ -316,79 +285,55 @@ class Chart {
     const up = { ...axis, label: y.label, size: 50, gap: 4 };
     if (y.logarithmic) Object.assign(up, { splits: (_, index, min, max) => logarithmicTicks(min, max), filter: (_, splits) => splits });
     const isFixed = y.low !== undefined;
-    const vertical = isFixed ? { auto: false, range: [y.low, y.high] } : { range: (_, min, max) => this.rangeOf(min, max) };
+    // Without visible values there are no ends.
+    const around = (_, min, max) => (y.logarithmic ? [(min ?? 0.1) / 1.06, (max ?? 1) * 1.06] : roomy(min ?? 0, max ?? 1));
     return {
       ...this.size(),
       scales: {
         x: { time: false, range: (_, min, max) => [min ?? 0, max ?? 1] },
-        y: { distr: y.logarithmic ? 3 : 1, ...vertical },
+        y: { distr: y.logarithmic ? 3 : 1, auto: !isFixed, range: isFixed ? [y.low, y.high] : around },
       },
       axes: [across, up],
       series: [{}, ...series.map((one) => ({
         label: one.name ?? "", stroke: () => ink(one.color), width: one.width ?? 1.8, dash: DASHES[one.dash], alpha: one.alpha ?? 1,
-        show: !this.hidden.has(entryOf(one)), spanGaps: true, points: { show: false }, ...(!one.line && { paths: () => null }),
+        show: !this.isHidden(one), spanGaps: true, points: { show: false }, ...(!one.line && { paths: () => null }),
       }))],
       legend: { show: false },
       padding: [10, 14, 0, 0],
       // A drag of a few pixels up or down does not zoom y.
       cursor: { x: false, y: false, points: { show: false }, drag: { x: true, y: isFixed, dist: 5, uni: square ? null : 40, setScale: false } },
       hooks: {
-        drawAxes: [() => square && this.draw(1, (pen) => this.drawDiagonal(pen))],
-        drawSeries: [(_, place) => this.draw(series[place - 1].alpha, (pen) => this.drawPoints(pen, series[place - 1]))],
+        drawSeries: [(_, place) => this.drawPoints(series[place - 1])],
         setSelect: [() => this.select()],
       },
     };
   }
 
-  /** The ends of y for the values that are visible. */
-  rangeOf(min, max) {
-    if (min === null || max === null) return this.content.y.logarithmic ? [0.1, 1] : [0, 1];
-    if (this.content.y.logarithmic) return [min / 1.06, max * 1.06];
-    return roomy(min, max);
-  }
-
   // --- Drawing ---
 
-  /** Calls `how` with a pen whose unit is a pixel of the page, from the corner of the plotted area. */
-  draw(alpha, how) {
-    const { ctx, bbox, width } = this.plot;
-    const ratio = ctx.canvas.width / width;
-    ctx.save();
-    ctx.setTransform(ratio, 0, 0, ratio, bbox.left, bbox.top);
-    ctx.globalAlpha = alpha ?? 1;
-    how(ctx);
-    ctx.restore();
-  }
-
-  drawDiagonal(pen) {
-    const { over } = this.plot;
-    const { min, max } = this.plot.scales.x;
-    pen.beginPath();
-    pen.rect(0, 0, over.clientWidth, over.clientHeight);
-    pen.clip();
-    Object.assign(pen, { strokeStyle: ink("faint"), lineWidth: 1 });
-    pen.beginPath();
-    for (const value of [min, max]) pen.lineTo(this.plot.valToPos(value, "x"), this.plot.valToPos(value, "y"));
-    pen.stroke();
-  }
-
-  drawPoints(pen, series) {
-    if (!series.kind) return;
-    const bottom = this.plot.over.clientHeight;
+  /** Draws the intervals and marks of a series over its line. */
+  drawPoints(series) {
+    const { ctx: pen, bbox, over, width } = this.plot;
+    const ratio = pen.canvas.width / width;
     const { low, high } = this.content.y;
-    for (const point of series.points) {
+    pen.save();
+    // The unit of the pen is a pixel of the page, from the corner of the plotted area.
+    pen.setTransform(ratio, 0, 0, ratio, bbox.left, bbox.top);
+    pen.globalAlpha = series.alpha ?? 1;
+    for (const point of series.kind ? series.points : []) {
       const place = this.placeOf(point);
       if (!place) continue;
-      const [x, y] = place;
       if (point.bounds) {
         Object.assign(pen, { strokeStyle: ink(series.color), lineWidth: 1.2 });
         pen.setLineDash([]);
         pen.beginPath();
-        for (const bound of point.bounds) pen.lineTo(x, Math.min(Math.max(this.plot.valToPos(bound, "y"), 0), bottom));
+        const ends = point.bounds.map((bound) => this.plot.valToPos(bound, "y"));
+        for (const end of ends) pen.lineTo(place[0], Math.min(Math.max(end, 0), over.clientHeight));
         pen.stroke();
       }
-      drawMark(pen, series, [x, y], (point.y > high) - (point.y < low));
+      drawMark(pen, series, point.y > high ? "above" : point.y < low ? "below" : series.kind, place);
     }
+    pen.restore();
   }
 
   /** The place of a point in the plotted area, or nothing if it is not visible. */
@@ -400,18 +345,9 @@ class Chart {
     return [this.plot.valToPos(point.x, "x"), this.plot.valToPos(height, "y")];
   }
 
-  /** Draws the chart in the colors of the present theme. */
-  paint() {
-    this.plot?.redraw();
-  }
-
   // --- Zooming ---
 
-  /** The visible range of each axis that can be zoomed. */
-  visible() {
-    return this.ranges((axis) => [this.plot.scales[axis].min, this.plot.scales[axis].max]);
-  }
-
+  /** A range of each axis that can be zoomed. */
   ranges(of) {
     return Object.fromEntries(Object.keys(this.home).map((axis) => [axis, of(axis)]));
   }
@@ -422,6 +358,7 @@ class Chart {
     const lengths = Object.keys(this.home).map((axis) => (ranges[axis][1] - ranges[axis][0]) / (this.home[axis][1] - this.home[axis][0]));
     if (lengths.some((length) => !(length > 1e-6))) return;
     this.isZoomed = lengths.some((length) => length < 1);
+    this.seen = ranges;
     this.plot.batch(() => {
       for (const [axis, [min, max]] of Object.entries(ranges)) this.plot.setScale(axis, { min, max });
     });
@@ -433,9 +370,8 @@ class Chart {
    * lower left corner.
    */
   zoom(factor, from, to = from) {
-    const seen = this.visible();
     this.look(this.ranges((axis) => {
-      const [low, high] = seen[axis];
+      const [low, high] = this.seen[axis];
       const length = (high - low) * factor;
       const start = low + from[axis] * (high - low) - to[axis] * length;
       return [start, start + length];
@@ -504,7 +440,7 @@ class Chart {
 
   /** The series that have tooltips, each with points. */
   told() {
-    return this.content.series.filter((series) => series.name && !this.hidden.has(entryOf(series)) && series.points.length > 0);
+    return this.content.series.filter((series) => series.name && !this.isHidden(series) && series.points.length > 0);
   }
 
   /** Shows the point that is nearest to a place, if one is near. */
@@ -555,9 +491,8 @@ class Chart {
     const index = this.at ? this.at.series.points.indexOf(this.at.point) : side > 0 && side < Infinity ? -1 : 0;
     const point = series.points[Math.min(Math.max(index + side, 0), series.points.length - 1)];
     if (!this.placeOf(point)) {
-      const seen = this.visible();
       this.look(this.ranges((axis) => {
-        const half = (seen[axis][1] - seen[axis][0]) / 2;
+        const half = (this.seen[axis][1] - this.seen[axis][0]) / 2;
         return [point[axis] - half, point[axis] + half];
       }));
     }
@@ -622,18 +557,9 @@ class Chart {
   /** Hides and shows the series as `hidden` says. */
   hideSeries() {
     this.hide();
-    const seen = this.visible();
     this.plot.batch(() => {
-      this.content.series.forEach((series, place) => this.plot.setSeries(place + 1, { show: !this.hidden.has(entryOf(series)) }));
+      this.content.series.forEach((series, place) => this.plot.setSeries(place + 1, { show: !this.isHidden(series) }));
     });
-    this.look(seen);
-  }
-
-  remove() {
-    painted.delete(this);
-    painted.delete(this.legend);
-    this.beyond.remove();
-    this.observer.disconnect();
-    this.plot?.destroy();
+    this.look(this.seen);
   }
 }

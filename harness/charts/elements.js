@@ -1,9 +1,15 @@
-// Elements and texts for both pages.
+// Elements, texts and numbers for both pages.
 
-/** Makes an HTML element with attributes and children. Strings become text nodes, so tables can't insert HTML. */
+/**
+ * Makes an HTML element with attributes, listeners and children. A function listens to the event of its name. `undefined` is left
+ * out. Strings become text nodes, so tables can't insert HTML.
+ */
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (typeof value === "function") made.addEventListener(key, value);
+    else if (value !== undefined) made.setAttribute(key, value);
+  }
   made.append(...children.filter((child) => child !== null && child !== undefined));
   return made;
 }
@@ -20,8 +26,15 @@ function interval(mean, low, high) {
   return low === null || low === undefined ? shown(mean) : `${shown(mean)} [${shown(low)}, ${shown(high)}]`;
 }
 
+const isNumber = (value) => typeof value === "number";
+
 /** The distinct values. Numbers are sorted, and other values keep their order. */
 function distinct(values) {
   const all = [...new Set(values)];
-  return all.every((value) => typeof value === "number") ? all.sort((a, b) => a - b) : all;
+  return all.every(isNumber) ? all.sort((a, b) => a - b) : all;
+}
+
+/** The smallest and the largest number. */
+function extent(numbers) {
+  return [numbers.reduce((a, b) => Math.min(a, b), Infinity), numbers.reduce((a, b) => Math.max(a, b), -Infinity)];
 }

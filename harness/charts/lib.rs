@@ -2,13 +2,14 @@
 //!
 //! uPlot is bundled, so the pages need no network. Its license is in the script, because a report is passed on.
 
-/// The script: uPlot, `element` and other small functions, and the class `Chart`.
+/// The script: uPlot, `element` and other small functions, what charts have in common, and the class `Chart`.
 pub const SCRIPT: &str = concat!(
     "\"use strict\";\n/*!\nuPlot\n\n",
     include_str!("uPlot.LICENSE"),
     "\n*/\n",
     include_str!("uPlot.iife.min.js"),
     include_str!("elements.js"),
+    include_str!("contents.js"),
     include_str!("chart.js"),
 );
 

@@ -86,6 +86,12 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "select task, modality, episode, sample, reference, predicted from frames order by task, modality, episode, \
          sample",
     )?;
+    // The losses are there also while the run trains.
+    let losses = of_run(
+        registry,
+        recorded,
+        "select task, split, term, epoch, value from epochs order by task, term, split, epoch",
+    )?;
     let sizes: serde_json::Map<String, Value> = record
         .layout
         .names()
@@ -110,7 +116,7 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "settings": all_settings(record),
         "metrics": columns(&metrics, metrics.height()),
         "better": better,
-        "losses": losses_of(registry, recorded)?,
+        "losses": columns(&losses, losses.height()),
         "horizons": horizons_of(registry, recorded)?,
         "sample_seconds": record.spec.simulation.as_ref().map(|simulation| 1.0 / simulation.sample_rate_hz),
         "frames": columns(&frames, frames.height()),
@@ -118,21 +124,6 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
         "elements": elements,
     });
     Ok(Answer::Json(run.to_string()))
-}
-
-/// The losses of a run, also while it trains.
-pub fn losses(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> {
-    let losses = json!({ "status": recorded.1.status.name(), "losses": losses_of(registry, recorded)? });
-    Ok(Answer::Json(losses.to_string()))
-}
-
-fn losses_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Failure> {
-    let losses = of_run(
-        registry,
-        recorded,
-        "select task, split, term, epoch, value from epochs order by task, term, split, epoch",
-    )?;
-    Ok(columns(&losses, losses.height()))
 }
 
 /// The metrics of a finished run's predictions at each horizon, and the skill; none if it predicts only one sample.

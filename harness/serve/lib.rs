@@ -8,7 +8,6 @@
 //! GET  /                    the page, and its scripts and styles
 //! GET  /api/runs            all runs with their overall metrics; with `?version=N`, 304 if nothing has changed
 //! GET  /api/run?run=NAME    one run: settings, metrics, losses, images; NAME is `experiment/run`
-//! GET  /api/losses?run=NAME the losses of one run, also while it trains
 //! GET  /api/settings        the settings in which runs differ, with their values
 //! GET  /api/compare?experiment=NAME  the metrics of an experiment's networks beside those of baselines
 //! GET  /api/claims          the verdicts on the paper's statements
@@ -166,16 +165,12 @@ impl Site {
             let mut pairs = request.query().split('&').filter_map(|pair| pair.split_once('='));
             pairs.find(|(key, _)| *key == name).map(|(_, value)| decoded(value))
         };
-        let run = || parameter("run").ok_or_else(|| Failure::Bad("the parameter `run` is missing".into()));
         match path {
             "/api/runs" => self.lock().runs(parameter("version").as_deref()),
             "/api/run" => {
-                let recorded = self.lock().find(&run()?)?;
+                let missing = || Failure::Bad("the parameter `run` is missing".into());
+                let recorded = self.lock().find(&parameter("run").ok_or_else(missing)?)?;
                 answers::run(&self.registry, &recorded)
-            }
-            "/api/losses" => {
-                let recorded = self.lock().find(&run()?)?;
-                answers::losses(&self.registry, &recorded)
             }
             "/api/settings" => {
                 let (version, runs) = {
