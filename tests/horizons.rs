@@ -22,7 +22,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
 
 /// Commands whose answers must not depend on further rows. `{}` is a folder of their own.
-const COMMANDS: [&[&str]; 15] = [
+const COMMANDS: [&[&str]; 16] = [
     &["ls"],
     &["verify"],
     &["show", "which_sense/empty-z64-senses=finger-seed0"],
@@ -30,6 +30,7 @@ const COMMANDS: [&[&str]; 15] = [
     &["compare"],
     &["compare", "reproduction", "--models", "network,ridge"],
     &["compare", "which_sense", "--format", "csv"],
+    &["claims"],
     &["claims", "--format", "csv"],
     &["query", "select count(*), avg(value) from metrics"],
     &["query", "select model, metric, avg(value), count(*) from metrics group by all order by all"],

@@ -32,35 +32,40 @@ function ink(name) {
 function paint(theme) {
   document.documentElement.style.colorScheme = theme;
   inks.clear();
+  forgetRemoved();
   for (const chart of painted) chart.show(chart.content);
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => paint(""));
 addEventListener("beforeprint", () => paint("light"));
 addEventListener("afterprint", () => paint(""));
 
+/** Lets go of the charts that were taken from the page. */
+function forgetRemoved() {
+  for (const chart of painted) if (!chart.frame.isConnected) chart.remove();
+}
+
 // --- Marks and legends ---
 
-/** The shapes of marks, as SVG paths. Those of points beyond an axis point away from it. */
+/** The shapes of marks. Those of points beyond an axis point away from it. */
 const MARKS = {
-  dot: "M-2.6 0a2.6 2.6 0 1 0 5.2 0a2.6 2.6 0 1 0 -5.2 0z",
-  disc: "M-3.6 0a3.6 3.6 0 1 0 7.2 0a3.6 3.6 0 1 0 -7.2 0z",
-  square: "M-3.2 -3.2h6.4v6.4h-6.4z",
-  bar: "M-1.8 -4.6h3.6v9.2h-3.6z",
-  diamond: "M0 -4.8L4.8 0L0 4.8L-4.8 0z",
-  above: "M-4 3h8L0 -3z",
-  below: "M-4 -3h8L0 3z",
+  dot: new Path2D("M-2.6 0a2.6 2.6 0 1 0 5.2 0a2.6 2.6 0 1 0 -5.2 0z"),
+  disc: new Path2D("M-3.6 0a3.6 3.6 0 1 0 7.2 0a3.6 3.6 0 1 0 -7.2 0z"),
+  square: new Path2D("M-3.2 -3.2h6.4v6.4h-6.4z"),
+  bar: new Path2D("M-1.8 -4.6h3.6v9.2h-3.6z"),
+  diamond: new Path2D("M0 -4.8L4.8 0L0 4.8L-4.8 0z"),
+  above: new Path2D("M-4 3h8L0 -3z"),
+  below: new Path2D("M-4 -3h8L0 3z"),
 };
 
 /** Draws a mark of a series at a place. */
 function drawMark(pen, series, shape, [x, y]) {
-  const mark = new Path2D(MARKS[shape]);
   pen.save();
   pen.translate(x, y);
   pen.setLineDash([]);
   Object.assign(pen, { fillStyle: ink(series.hollow ? "ground" : series.color), strokeStyle: ink(series.color), lineWidth: 1.5 });
-  pen.fill(mark);
+  pen.fill(MARKS[shape]);
   // The outlines of transparent marks would be darker.
-  if (!series.alpha) pen.stroke(mark);
+  if (!series.alpha) pen.stroke(MARKS[shape]);
   pen.restore();
 }
 
@@ -202,7 +207,7 @@ class Chart {
     this.beyond = element("p", { class: "beyond", hidden: "" });
     place.append(...(this.small ? [] : [this.legend.list]), this.frame, this.beyond);
     this.listen();
-    this.observer = new ResizeObserver(() => (this.frame.isConnected ? this.fit() : this.remove()));
+    this.observer = new ResizeObserver(() => this.fit());
   }
 
   fit() {
@@ -254,6 +259,7 @@ class Chart {
     const series = was && this.told().find((one) => one.name === was.series.name);
     const point = series?.points.find((one) => one.x === was.point.x);
     if (point) this.tell(series, point);
+    forgetRemoved();
     painted.add(this);
     this.observer.observe(this.frame);
     return this;
@@ -554,7 +560,7 @@ class Chart {
 
   // --- Series ---
 
-  /** Hides and shows the series as `hidden` says. */
+  /** Hides and shows the series as the legend says. */
   hideSeries() {
     this.hide();
     this.plot.batch(() => {

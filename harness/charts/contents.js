@@ -26,7 +26,7 @@ const EPOCHS = { label: "epoch", low: 1, whole: true };
 /** The ends of an axis of numbers, with a margin, which is a part of its length. */
 function withMargin(numbers, part = 0.04) {
   const [low, high] = extent(numbers);
-  const margin = part * (high - low) || 1;
+  const margin = part * (high - low || Math.abs(high)) || 1;
   return { low: low - margin, high: high + margin };
 }
 

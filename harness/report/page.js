@@ -197,7 +197,7 @@ function metricAxis(metric, unit, series) {
   const ends = points.flatMap((point) => point.bounds ?? [point.y]);
   // R2 and skill have no lower bound, but values below -1 need not be told apart. The skill of persistence is 0.
   const start = metric === "skill" ? 0 : 0.9;
-  if (/^(skill$|r2$|r2_)/.test(metric)) return { label, low: Math.max(-1, Math.floor(Math.min(start, ...ends) * 10) / 10), high: 1 };
+  if (/^skill$|^(log_|trimmed_)?r2(_|$)/.test(metric)) return { label, low: Math.max(-1, Math.floor(Math.min(start, ...ends) * 10) / 10), high: 1 };
   const [, most] = extent(points.map((point) => point.y));
   const [, reach] = extent([...ends, ...series.flatMap((one) => one.points.map((point) => point.y))]);
   return { label, low: 0, high: Math.min(reach, 1.4 * most) * 1.04 || 1 };

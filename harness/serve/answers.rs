@@ -8,7 +8,7 @@ use harness_analysis::{
 };
 use harness_catalog::{QueryError, query_all, query_recorded};
 use harness_claims::{Claim, ClaimsFile, Judgment, Readings, judge};
-use harness_registry::{Recorded, Registry};
+use harness_registry::{Recorded, Registry, Status};
 use harness_spec::Task;
 use harness_tables::schema::{Column, Table};
 use polars::prelude::{AnyValue, DataFrame};
@@ -126,9 +126,10 @@ pub fn run(registry: &Registry, recorded: &Recorded) -> Result<Answer, Failure> 
     Ok(Answer::Json(run.to_string()))
 }
 
-/// The metrics of a finished run's predictions at each horizon, and the skill; none if it predicts only one sample.
+/// The metrics of a run's predictions at each horizon, and the skill; none before it is done, or if it predicts only one
+/// sample.
 fn horizons_of(registry: &Registry, recorded: &Recorded) -> Result<Vec<Value>, Failure> {
-    if recorded.1.spec.window.horizon == 1 {
+    if recorded.1.status != Status::Done || recorded.1.spec.window.horizon == 1 {
         return Ok(Vec::new());
     }
     let run = Analysis::of(registry, vec![recorded.clone()], &Selection::default())?;

@@ -218,7 +218,7 @@ def check_runs(page: Served):
     page.sort(metric)
     values = [float(text.replace("−", "-")) for text in page.column(metric) if text != "–"]
     assert values == sorted(values, reverse=True), values
-    Select(page.one("#group")).select_by_value("experiment")
+    Select(page.one("#group")).select_by_visible_text("experiment")
     groups = page.texts("#table tr.group")
     assert groups and sum(int(re.search(r"\((\d+)\)", text)[1]) for text in groups) == page.count()[0]
     table = page.text("#table")
@@ -330,7 +330,7 @@ def check_chosen(page: Served):
     directions = page.browser.execute_script("""
         const all = [...document.querySelectorAll("#chosen details")];
         const rows = all.find((one) => one.textContent.startsWith("Metrics")).querySelectorAll("tbody tr");
-        return Object.fromEntries([...rows].map(({cells}) => [cells[2].textContent, cells[4].textContent]));""")
+        return Object.fromEntries([...rows].map(({cells}) => [cells[2].textContent, cells[5].textContent]));""")
     is_up = {name: words == "higher is better" for name, words in directions.items()}
     higher = ("r2", "log_r2", "trimmed_r2", "f1", "auc")
     assert is_up == {name: name.startswith(higher) for name in directions}, directions
@@ -483,7 +483,7 @@ def check_fits(page: Served, step: str):
 def check_phone(page: Served):
     page.open(PHONE)
     check_fits(page, "runs")
-    Select(page.one("#group")).select_by_value("experiment")
+    Select(page.one("#group")).select_by_visible_text("experiment")
     check_fits(page, "groups")
     Select(page.one("#plotted")).select_by_value(page.metric())
     page.browser.execute_script("document.querySelector('#plot').scrollIntoView()")

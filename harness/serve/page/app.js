@@ -179,8 +179,8 @@ function showGroups(rows) {
   }
   const measured = rows.filter((row) => isNumber(metric.values[row]));
   const there = over ? measured.filter((row) => over.values[row] !== null) : [];
-  const isNumeric = there.length > 0 && there.every((row) => isNumber(over.values[row]));
-  const content = isNumeric ? numericContent(there, metric, over, group) : categoryContent(measured, metric, over ?? group);
+  const haveNumbers = there.length > 0 && there.every((row) => isNumber(over.values[row]));
+  const content = haveNumbers ? numericContent(there, metric, over, group) : categoryContent(measured, metric, over ?? group);
   if (groupChart) groupChart.show(content);
   else groupChart = addChart(find("plot"), content);
 }
@@ -285,7 +285,9 @@ function offer(id, names) {
   find(id).replaceChildren(new Option("nothing", ""), ...names.map((name) => new Option(name, name, false, name === value)));
 }
 
-for (const id of Object.keys(FIELDS)) find(id).addEventListener("input", update);
+// Another experiment has other rows.
+find("compared").addEventListener("change", () => (state.drawn = ""));
+for (const id of Object.keys(FIELDS)) find(id).addEventListener(id === "filter" ? "input" : "change", update);
 
 // --- Settings ---
 
@@ -374,15 +376,16 @@ function showComparison(place, experiment, { tables, notes }) {
     const { table, row } = rows.find(({ name }) => name === state.drawn) ?? rows[0];
     return comparisonContent(table, row);
   };
-  const input = () => {
+  const change = () => {
     state.drawn = select.value;
     remember();
     chart.show(content());
   };
-  const select = element("select", { input });
+  const select = element("select", { change });
   select.append(...rows.map(({ name }) => new Option(name, name, false, name === state.drawn)));
-  place.append(element("h2", {}, experiment), ...notes.map((text) => element("p", {}, text)),
-    element("div", { class: "controls" }, element("label", {}, "Figure of ", select)));
+  place.append(element("h2", {}, experiment), ...notes.map((text) => element("p", {}, text)));
+  if (rows.length === 0) return;
+  place.append(element("div", { class: "controls" }, element("label", {}, "Figure of ", select)));
   const chart = addChart(place, content());
   place.append(...tables.map(comparisonTable));
 }
@@ -485,6 +488,7 @@ function showChosen() {
   const runs = chosenRuns();
   const place = find("chosen");
   place.replaceChildren();
+  lossCharts = new Map();
   if (runs.length === 0) return;
   const title = runs.length === 1 ? runs[0].name : `${runs.length} runs`;
   const reasons = runs.filter((run) => run.reason).map((run) => element("p", { class: "problem" }, `${run.name}: ${run.reason}`));
@@ -553,8 +557,10 @@ function differences(runs) {
 }
 
 function metricsTable(runs) {
-  const overall = rowsOfRuns(runs, "metrics").filter((row) => row.index === null && row.direction === null);
-  const keys = ["task", "modality", "metric", "model"];
+  // Elements with different units have a value for each unit, whose direction is "in" that unit.
+  const isOverall = ({ index, direction }) => index === null && (direction === null || direction.startsWith("in "));
+  const overall = rowsOfRuns(runs, "metrics").filter(isOverall);
+  const keys = ["task", "modality", "metric", "model", "unit"];
   const groups = groupsBy(overall, keys);
   if (groups.length === 0) return element("p", {}, "Metrics appear when the run is done.");
   const better = Object.assign({}, ...runs.map((run) => run.better));
