@@ -212,6 +212,29 @@ fn scripts(results: &Path, arguments: &[&str]) -> BTreeMap<String, String> {
 }
 
 #[test]
+fn options_that_would_break_a_script_are_refused() {
+    let results = fresh("refused_options");
+    let refused = |more: &[&str]| {
+        let answer = finish(&mut harness(&results, &[&["submit", SMOKE, "--dry-run"], more].concat()));
+        assert_eq!(answer.code, 2, "{more:?}: {}", answer.stdout);
+        answer.stderr
+    };
+    assert!(refused(&["--sbatch=--array=3"]).contains("--array is set by the harness; tasks, throttle"));
+    assert!(refused(&["--sbatch=-o x.log"]).contains("-o is set by the harness"));
+    assert!(
+        refused(&["--sbatch=account"]).contains("'account' is no option of sbatch; one is --account=lab")
+    );
+    assert!(refused(&["--memory", ""]).contains("'memory' is empty or has a line break"));
+    let config = results.with_extension("yaml");
+    fs::write(&config, "partition: \"a\\nb\"\n").unwrap();
+    let said = refused(&["--config", config.to_str().unwrap()]);
+    assert!(
+        said.contains("refused_options.yaml: a value of 'partition' is empty or has a line break"),
+        "{said}"
+    );
+}
+
+#[test]
 fn scripts_say_what_was_asked_for_and_are_bash() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("cluster.yaml");

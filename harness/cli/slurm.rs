@@ -52,6 +52,20 @@ pub struct Resources {
 const MOST_TASKS: i64 = 1000;
 /// Largest number of processors of a task.
 const MOST_CPUS: i64 = 1024;
+/// The options of sbatch that a script has for itself.
+const OWN: [&str; 11] = [
+    "--array",
+    "-a",
+    "--cpus-per-task",
+    "-c",
+    "--job-name",
+    "-J",
+    "--open-mode",
+    "--output",
+    "-o",
+    "--requeue",
+    "--signal",
+];
 
 impl Resources {
     /// Number of tasks of the array that divides the work.
@@ -73,10 +87,11 @@ impl Resources {
         }
     }
 
-    /// Refuses numbers that the options of `harness submit` would refuse, too.
+    /// Refuses what does not make a script that divides the work.
     ///
     /// # Errors
-    /// When a number is out of its range. The error is the message.
+    /// When a number is out of its range, a text is not a part of one line, or an option is not one of sbatch, or is one
+    /// that the script has for itself. The error is the message.
     pub fn check(&self) -> Result<(), String> {
         let numbers = [
             ("tasks", self.tasks, MOST_TASKS),
@@ -86,6 +101,26 @@ impl Resources {
         for (key, number, most) in numbers {
             if let Some(number) = number.filter(|number| !(1..=most).contains(&i64::from(*number))) {
                 return Err(format!("'{key}' is {number}, and must be from 1 to {most}"));
+            }
+        }
+        let texts = [("memory", &self.memory), ("time", &self.time), ("partition", &self.partition)];
+        let texts = texts.into_iter().filter_map(|(key, text)| Some((key, text.as_ref()?)));
+        for (key, text) in texts.chain(self.options.iter().map(|option| ("options", option))) {
+            if text.is_empty() || text.chars().any(char::is_control) {
+                return Err(format!(
+                    "a value of '{key}' is empty or has a line break; it is a part of one line"
+                ));
+            }
+        }
+        for option in &self.options {
+            let name = option.split(['=', ' ']).next().unwrap_or_default();
+            if !name.starts_with('-') {
+                return Err(format!("'{option}' is no option of sbatch; one is --account=lab"));
+            }
+            if OWN.contains(&name) {
+                return Err(format!(
+                    "{name} is set by the harness; tasks, throttle, cpus, memory, time and partition can be set"
+                ));
             }
         }
         Ok(())

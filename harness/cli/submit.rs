@@ -37,7 +37,7 @@ pub struct Submit {
     #[command(flatten)]
     resources: Resources,
     /// YAML file with the settings tasks, throttle, cpus, memory, time, partition, options (for sbatch) and setup
-    /// (commands before the harness). Options on the command line replace them
+    /// (commands before the harness). Options on the command line replace them; those for sbatch are added
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Print the scripts, but do not submit them
@@ -109,7 +109,10 @@ impl Submit {
 
     /// The settings of the configuration file with the flags in their place.
     fn resources(&self) -> Result<Resources> {
-        let Some(path) = &self.config else { return Ok(self.resources.clone()) };
+        let Some(path) = &self.config else {
+            self.resources.check().map_err(usage)?;
+            return Ok(self.resources.clone());
+        };
         let text = harness::spec::read_text(path)?;
         let file: Resources = serde_yaml::from_str(&text).map_err(|error| {
             let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
