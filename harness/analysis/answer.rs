@@ -131,7 +131,7 @@ impl Answer {
         let sides = table.sides();
         let Some(side) = sides.iter().find(|side| side.name() == base) else {
             let columns = sides.iter().map(|side| side.name()).collect::<Vec<_>>().join("', '");
-            return Err(AnalysisError::Asked(format!(
+            return Err(AnalysisError::Unanswerable(format!(
                 "there is no column '{base}'; the columns are '{columns}'"
             )));
         };

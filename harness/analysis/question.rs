@@ -136,7 +136,7 @@ impl Question {
             return Err(AnalysisError::Nothing(analysis.registry.command("run single_to_multi")));
         }
         if self.against.is_some() && self.by.contains(&Key::Scenario) {
-            return Err(AnalysisError::Asked(
+            return Err(AnalysisError::Unanswerable(
                 "--against compares runs on the same data, and each scenario has its own; choose one with --where \
                  scenario=NAME, and leave scenario out"
                     .to_owned(),
@@ -324,7 +324,7 @@ impl Question {
             false => {
                 let unit = if horizons.iter().eq([&1]) { "sample" } else { "samples" };
                 let horizons = listed(&horizons);
-                Err(AnalysisError::Asked(format!(
+                Err(AnalysisError::Unanswerable(format!(
                     "no run predicts {wanted} ahead; the runs predict {horizons} {unit} ahead"
                 )))
             }
@@ -339,7 +339,7 @@ impl Question {
         let known: Vec<&str> = models::ALL.into_iter().chain(external).collect();
         match self.models.iter().find(|wanted| !known.contains(&wanted.as_str())) {
             None => Ok(()),
-            Some(wanted) => Err(AnalysisError::Asked(format!(
+            Some(wanted) => Err(AnalysisError::Unanswerable(format!(
                 "there is no model '{wanted}'{}there are {}",
                 meant(wanted, &known),
                 known.join(", ")
@@ -358,7 +358,7 @@ impl Question {
         let meant = meant(wanted, &known.into_iter().collect::<Vec<_>>());
         let axes = if axes.is_empty() { "none".to_owned() } else { listed(&axes) };
         let keys = Key::ALL.map(Key::name).join(", ");
-        Err(AnalysisError::Asked(format!(
+        Err(AnalysisError::Unanswerable(format!(
             "there is no key '{wanted}'{meant}allowed: {keys}, a setting, such as input or network.hidden, or an axis of \
              these runs: {axes}"
         )))
@@ -384,7 +384,7 @@ impl Question {
                 format!("some got only {}", known.join(", "))
             }
         };
-        Err(AnalysisError::Asked(format!("no model got only {wanted} of its run's inputs; {known}")))
+        Err(AnalysisError::Unanswerable(format!("no model got only {wanted} of its run's inputs; {known}")))
     }
 
     /// Returns an error if a metric is none of the harness and no run has it as a user's own, or if no run predicts a
@@ -401,7 +401,7 @@ impl Question {
             let all: Vec<&str> =
                 own.iter().copied().chain(Metric::all().map(|metric| metric.name())).collect();
             let own: String = own.iter().map(|own| format!(", {own}")).collect();
-            return Err(AnalysisError::Asked(format!(
+            return Err(AnalysisError::Unanswerable(format!(
                 "there is no metric '{wanted}'{}{}{own}",
                 meant(wanted, &all),
                 Metric::known()

@@ -143,7 +143,7 @@ impl Claim {
     /// The error about a part of the claim that starts at `place` in its file.
     fn fault(&self, place: Location, problem: String) -> ClaimsError {
         let (file, id) = (&self.file, self.id());
-        ClaimsError::Claim(format!("{file}:{}:{}: claim '{id}': {problem}", place.line(), place.column()))
+        ClaimsError::Invalid(format!("{file}:{}:{}: claim '{id}': {problem}", place.line(), place.column()))
     }
 
     /// The scenarios that are judged one by one, or `None` alone if there is one judgment.
@@ -279,7 +279,7 @@ pub enum ClaimsError {
     /// No claim has a wanted id, a claim's query failed, or its answer does not have the required columns and rows. The
     /// text is the message.
     #[error("{0}")]
-    Claim(String),
+    Invalid(String),
 }
 
 /// Values by the seed of the dataset, and by seed or episode. For a value of the whole dataset, the second number is 0.
@@ -496,7 +496,7 @@ pub fn choose<'a>(claims: &'a [Claim], wanted: &[String]) -> Result<Vec<&'a Clai
         if !claims.iter().any(|claim| claim.id() == wanted) {
             let ids: Vec<&str> = claims.iter().map(Claim::id).collect();
             let (meant, ids) = (meant(wanted, &ids), ids.join(", "));
-            return Err(ClaimsError::Claim(format!(
+            return Err(ClaimsError::Invalid(format!(
                 "no claim is called '{wanted}'{meant}the claims are {ids}"
             )));
         }

@@ -684,7 +684,10 @@ fn is_usage(error: &anyhow::Error) -> bool {
             )
         )
         || matches!(
-            error.downcast_ref(),
+            error.downcast_ref().or(match error.downcast_ref() {
+                Some(ExperimentError::Simulation(error)) => Some(error),
+                _ => None,
+            }),
             Some(
                 SimulationError::Argument(_)
                     | SimulationError::World(_)
@@ -696,14 +699,9 @@ fn is_usage(error: &anyhow::Error) -> bool {
         || matches!(
             error.downcast_ref(),
             Some(
-                ExperimentError::Simulation(
-                    SimulationError::World(_)
-                        | SimulationError::Spec { .. }
-                        | SimulationError::Compile { .. }
-                        | SimulationError::Unsuitable { .. }
-                ) | ExperimentError::Simulator(_)
+                ExperimentError::Simulator(_)
                     | ExperimentError::Unsuitable { .. }
-                    | ExperimentError::Dataset(DatasetError::Unsuitable(_) | DatasetError::TooShort(_))
+                    | ExperimentError::Dataset(DatasetError::Unsuitable(_))
                     | ExperimentError::Learning(LearningError::Device { .. })
                     | ExperimentError::Submission(SubmissionError::Refused(_))
             )

@@ -43,7 +43,7 @@ pub fn attached(registry: &Registry, wanted: &str) -> Result<Option<PathBuf>, Mo
     }
     match (record.spec.trained(), record.attached(folder.path())?) {
         (Some(_), _) => Ok(None),
-        (None, None) => Err(ModelError::Unusable(format!(
+        (None, None) => Err(ModelError::NotLoaded(format!(
             "the predictions of {} come from another program, and no file of its model was attached to them",
             record.run
         ))),

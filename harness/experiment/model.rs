@@ -31,7 +31,7 @@ pub enum ModelError {
     /// The run is not done, its network has a memory, or no file of a model of another program was attached to it. The
     /// text is the message.
     #[error("{0}")]
-    Unusable(String),
+    NotLoaded(String),
     /// The run's model is one of another program.
     #[error("the predictions of {0} come from another program, so the harness has no network of it")]
     External(String),
@@ -82,7 +82,7 @@ impl Model {
     pub fn load(registry: &Registry, wanted: &str) -> Result<Self, ModelError> {
         let (folder, record, trained) = finished(registry, wanted)?;
         if trained.network.memory != Memory::None {
-            return Err(ModelError::Unusable(format!(
+            return Err(ModelError::NotLoaded(format!(
                 "the network of {} has a memory, so it can't be applied to single observations; use \
                  harness.load_network, or export it as an ONNX model",
                 record.run
@@ -218,7 +218,7 @@ pub(crate) fn finished(
     match (record.status, record.spec.trained().cloned()) {
         (Status::Done, Some(trained)) => Ok((folder, record, trained)),
         (Status::Done, None) => Err(ModelError::External(record.run)),
-        (status, _) => Err(ModelError::Unusable(format!(
+        (status, _) => Err(ModelError::NotLoaded(format!(
             "{} is {}, not done; repeat the command that started it, to continue",
             record.run,
             status.name()

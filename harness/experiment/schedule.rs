@@ -1,9 +1,8 @@
 //! Schedules the runs of a plan: over several jobs of this process, and beside other processes that use the same
 //! results folder.
 
-use super::{
-    ExperimentError, OpenData, Planned, PreparedData, Runner, Source, TrainingRun, describe, training_bytes,
-};
+use super::training::TrainingRun;
+use super::{ExperimentError, OpenData, Planned, PreparedData, Runner, Source, describe, training_bytes};
 use crate::collection::check_missing;
 use crate::turns::{Turn, Turns};
 use harness_learning::open_device;
@@ -377,7 +376,7 @@ impl WorkerPool<'_> {
 
     fn train(&self, planned: &Planned, claimed: &Claimed) -> Result<Outcome, ExperimentError> {
         let trained = planned.spec.trained().ok_or_else(|| {
-            ExperimentError::Failed(
+            ExperimentError::NotTrained(
                 "this run's model is one of another program, which the harness can't train".to_owned(),
             )
         })?;
@@ -415,7 +414,7 @@ impl WorkerPool<'_> {
                 return Ok(Promise { promised: &self.promised, bytes: needed });
             }
             if *promised == 0 {
-                return Err(ExperimentError::Failed(format!(
+                return Err(ExperimentError::NotTrained(format!(
                     "the network takes up to {:.1} GB of memory to train and only {:.1} GB are free; free some, or \
                      lower network.hidden, network.channels or training.batch_size",
                     needed as f64 / 1e9,
@@ -443,7 +442,7 @@ impl WorkerPool<'_> {
                 made => made.map(Arc::new).map_err(|error| describe(&error)),
             },
         };
-        slot.insert(made).clone().map_err(ExperimentError::Failed)
+        slot.insert(made).clone().map_err(ExperimentError::NotTrained)
     }
 
     /// Reports that a run failed, and returns the message.

@@ -24,7 +24,7 @@ const STEPS: &str = "steps";
 #[derive(Default)]
 pub struct State {
     /// Losses of the epochs so far, in order.
-    pub epochs: Vec<Epoch>,
+    pub(crate) epochs: Vec<Epoch>,
     /// The lowest validation loss of each term, and the first epoch that had it.
     lowest: BTreeMap<String, (f64, usize)>,
     /// The parameters of the epoch with the lowest validation loss.

@@ -25,6 +25,7 @@ mod losses;
 mod mark;
 mod merged;
 mod names;
+mod outcome;
 mod own_metric;
 mod provenance;
 mod record;
@@ -41,11 +42,12 @@ pub use harness_shared::{path_word, quoted};
 pub use live::{LiveEpochs, live_epochs, live_table};
 pub use mark::Mark;
 pub use merged::RECORDS;
+pub use outcome::{ForceRows, Outcome};
 pub use own_metric::{OwnMetric, OwnValue};
 pub use provenance::{Provenance, Versions, peak_memory_bytes};
 pub use record::{
-    FileRecord, ForceRows, ForcesOf, Outcome, RunRecord, Slice, Status, Submission, Timings, WorldOf,
-    episodes_used, forces_of, is_network, runs_table,
+    FileRecord, ForcesOf, RunRecord, Slice, Status, Submission, Timings, WorldOf, episodes_used, forces_of,
+    is_network, runs_table,
 };
 pub use verify::{Finding, Report};
 pub use worlds::{DatasetsNow, Outdated, UNKNOWN};

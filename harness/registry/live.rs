@@ -6,7 +6,8 @@
 //! runs with the status `running` are read from it.
 
 use super::Claimed;
-use super::record::{RunRecord, epochs_columns};
+use super::outcome::epochs_columns;
+use super::record::RunRecord;
 use harness_metrics::epoch::Epoch;
 use harness_shared::files::UNFINISHED;
 use harness_shared::seal;

@@ -3,7 +3,7 @@
 use super::SimulationError;
 use super::factors::FactorValues;
 use super::opengl::{current_renderer_name, open_renderer, plain};
-use super::resolve::{Code, SceneCamera};
+use super::resolved::{Code, SceneCamera};
 use super::scene::{Scene, write_state};
 use super::sight::Sight;
 use image::RgbImage;
@@ -29,7 +29,7 @@ impl Camera {
     /// # Errors
     /// When there is no OpenGL to render with, or the model's offscreen buffer is smaller than the frame.
     pub fn new(scene: &Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
-        Self::for_model(&scene.model, scene, scene.parts.view, width, height)
+        Self::for_model(&scene.model, scene, scene.resolved.view, width, height)
     }
 
     /// Creates a renderer for a camera that is recorded.
@@ -90,17 +90,17 @@ pub(super) fn time_rendering<M: ModelType>(
     scene: &Scene,
     data: &mut MjData<M>,
 ) -> Result<Option<SampleTime>, SimulationError> {
-    if scene.parts.cameras.is_empty() && scene.parts.sights.is_empty() {
+    if scene.resolved.cameras.is_empty() && scene.resolved.sights.is_empty() {
         return Ok(None);
     }
     let mut coded_s = 0.0;
-    for of in &scene.parts.sights {
+    for of in &scene.resolved.sights {
         let mut sight = Sight::new(scene, of)?;
         coded_s += shortest(|| sight.look(data))?;
     }
     let mut time = |model: &MjModel| -> Result<f64, SimulationError> {
         let mut total = coded_s;
-        for SceneCamera { camera, size: [rows, columns], .. } in &scene.parts.cameras {
+        for SceneCamera { camera, size: [rows, columns], .. } in &scene.resolved.cameras {
             let mut camera = Camera::for_model(model, scene, Some(*camera), *columns as u32, *rows as u32)?;
             total += shortest(|| camera.capture(data).map(drop))?;
         }
@@ -153,7 +153,7 @@ impl<'s> SceneRenderer<'s> {
     /// When a side is 0 or above 4096 pixels, or there is no OpenGL to render with.
     pub fn new(scene: &'s Scene, width: u32, height: u32) -> Result<Self, SimulationError> {
         check_size(width, height)?;
-        Self::of_model(scene, good_looking(&scene.model, width, height), scene.parts.view, [width, height])
+        Self::of_model(scene, good_looking(&scene.model, width, height), scene.resolved.view, [width, height])
     }
 
     /// Creates a renderer for pictures of `width` x `height` pixels from a camera of the model.
@@ -190,7 +190,7 @@ impl<'s> SceneRenderer<'s> {
             let [rows, columns] = of.size.map(|side| side as u32);
             return Ok(Self::with_eye(scene, scene.model.clone(), Some(of.camera), eye, [columns, rows]));
         }
-        let Some(recorded) = scene.parts.cameras.iter().find(is_meant) else {
+        let Some(recorded) = scene.resolved.cameras.iter().find(is_meant) else {
             let recorded: Vec<String> = scene.rendered().map(|recorded| recorded.to_string()).collect();
             return Err(match name {
                 Some(name) if !recorded.is_empty() => unknown_camera(scene, name, &recorded),
@@ -219,7 +219,7 @@ impl<'s> SceneRenderer<'s> {
         check_size(width, height)?;
         let mut model = good_looking(&scene.model, width, height);
         let body = scene.id(MjtObjBase::mjOBJ_BODY, "body", body)?;
-        let camera = scene.parts.view.ok_or_else(|| SimulationError::Unsuitable {
+        let camera = scene.resolved.view.ok_or_else(|| SimulationError::Unsuitable {
             scene: scene.name.clone(),
             problem: "it has no camera".into(),
         })?;

@@ -32,11 +32,11 @@ impl<'s> Simulator<'s> {
     pub fn new(scene: &'s Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         refuse_policy(spec)?;
         let physics = Physics::new(scene, spec)?;
-        let cameras = scene.parts.cameras.iter().map(|camera| Camera::recording(scene, camera));
+        let cameras = scene.resolved.cameras.iter().map(|camera| Camera::recording(scene, camera));
         let cameras = cameras.collect::<Result<_, _>>()?;
-        let flows = scene.parts.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
+        let flows = scene.resolved.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
         let sights =
-            scene.parts.sights.iter().map(|sight| Sight::new(scene, sight)).collect::<Result<_, _>>()?;
+            scene.resolved.sights.iter().map(|sight| Sight::new(scene, sight)).collect::<Result<_, _>>()?;
         Ok(Self { spec: spec.clone(), physics, cameras, flows, sights })
     }
 
@@ -58,13 +58,13 @@ impl<'s> Simulator<'s> {
         episode.renderer = renderer;
         self.physics.run(&plan, &mut |instant, data| {
             record(&mut episode, scene, instant);
-            for (camera, recorded) in cameras.iter_mut().zip(&scene.parts.cameras) {
+            for (camera, recorded) in cameras.iter_mut().zip(&scene.resolved.cameras) {
                 episode.images[recorded.position].extend_from_slice(camera.capture(data)?);
             }
-            for (flow, recorded) in flows.iter_mut().zip(&scene.parts.flows) {
+            for (flow, recorded) in flows.iter_mut().zip(&scene.resolved.flows) {
                 episode.images[recorded.image.position].extend_from_slice(flow.render(instant));
             }
-            for (sight, recorded) in sights.iter_mut().zip(&scene.parts.sights) {
+            for (sight, recorded) in sights.iter_mut().zip(&scene.resolved.sights) {
                 sight.look(data)?;
                 for coded in &recorded.coded {
                     sight.encode(&coded.code, &mut episode.images[coded.image.position]);
@@ -144,7 +144,7 @@ pub fn refuse_policy(spec: &Simulation) -> Result<(), SimulationError> {
 /// Creates the episode of a plan, with memory reserved for its samples.
 pub(super) fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, samples: usize) -> Episode {
     let mut episode = Episode::new(scene.layout_of(spec), plan.episode, samples);
-    for (values, readings) in episode.vectors.iter_mut().zip(&scene.parts.readings) {
+    for (values, readings) in episode.vectors.iter_mut().zip(&scene.resolved.readings) {
         values.reserve_exact(samples * readings.len());
     }
     for image in scene.images() {
@@ -162,7 +162,7 @@ pub(super) fn with_room(scene: &Scene, spec: &Simulation, plan: &EpisodePlan, sa
 /// Appends the vectors of one sample.
 pub(super) fn record(episode: &mut Episode, scene: &Scene, instant: &Instant) {
     // The factors of variation have no readings: their values were stored when the episode was created.
-    for (position, (values, _)) in episode.vectors.iter_mut().zip(&scene.parts.readings).enumerate() {
+    for (position, (values, _)) in episode.vectors.iter_mut().zip(&scene.resolved.readings).enumerate() {
         values.extend(instant.vector(scene, position));
     }
 }

@@ -1,7 +1,8 @@
 //! Factors of variation: draws random values for an episode and changes the properties of the model accordingly.
 
 use super::SimulationError;
-use super::resolve::{SceneFactor, dofs};
+use super::resolve::dofs;
+use super::resolved::SceneFactor;
 use super::scene::Scene;
 use harness_spec::{Drawing, Normal, Property, Scenario, Simulation};
 use mujoco_rs::prelude::*;
@@ -22,8 +23,12 @@ pub struct FactorValues {
 impl FactorValues {
     /// Draws each factor from its own random generator, so that its values don't depend on the other factors.
     pub(super) fn draw(scene: &Scene, spec: &Simulation, episode: u32) -> Self {
-        let on =
-            scene.parts.factors.iter().enumerate().filter(|(_, factor)| spec.factors.contains(&factor.name));
+        let on = scene
+            .resolved
+            .factors
+            .iter()
+            .enumerate()
+            .filter(|(_, factor)| spec.factors.contains(&factor.name));
         let draw = |(index, factor): (usize, &SceneFactor)| {
             let mut rng = stream(&factor.name, spec.stream(), scene.scenario(), episode);
             let values = factor.elements.iter().map(|_| draw_value(&factor.drawing, &mut rng)).collect();
@@ -41,9 +46,9 @@ impl FactorValues {
             let refused =
                 |problem: String| SimulationError::Argument(format!("the factor '{name}': {problem}"));
             let place =
-                scene.parts.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
+                scene.resolved.factors.iter().position(|factor| factor.name == *name).ok_or_else(|| {
                     let names: Vec<&str> =
-                        scene.parts.factors.iter().map(|factor| factor.name.as_str()).collect();
+                        scene.resolved.factors.iter().map(|factor| factor.name.as_str()).collect();
                     refused(match names.as_slice() {
                         [] => format!("the world {} has no factors", scene.scenario()),
                         names => {
@@ -51,9 +56,9 @@ impl FactorValues {
                         }
                     })
                 })?;
-            let [low, high] = scene.parts.factors[place].drawing.range();
+            let [low, high] = scene.resolved.factors[place].drawing.range();
             match (low..=high).contains(value) {
-                true => Ok((place, vec![*value; scene.parts.factors[place].elements.len()])),
+                true => Ok((place, vec![*value; scene.resolved.factors[place].elements.len()])),
                 false => {
                     Err(refused(format!("{value} is outside of its range [{low}, {high}] in the world file")))
                 }
@@ -64,7 +69,7 @@ impl FactorValues {
 
     /// Returns values of one factor that all equal `value`.
     pub(super) fn of_one(scene: &Scene, factor: usize, value: f64) -> Self {
-        Self { drawn: vec![(factor, vec![value; scene.parts.factors[factor].elements.len()])] }
+        Self { drawn: vec![(factor, vec![value; scene.resolved.factors[factor].elements.len()])] }
     }
 
     /// Returns all values, in the order of the elements of `factors` in [`Scene::layout_of`].
@@ -99,7 +104,7 @@ impl FactorValues {
         &'a self,
         scene: &'a Scene,
     ) -> impl Iterator<Item = (&'a str, Vec<(usize, f64)>)> {
-        let drawn = self.drawn.iter().map(|(index, values)| (&scene.parts.factors[*index], values));
+        let drawn = self.drawn.iter().map(|(index, values)| (&scene.resolved.factors[*index], values));
         drawn.filter(|(factor, _)| factor.property == Property::SensorNoise).map(|(factor, values)| {
             let value = |place: usize| values[if factor.each { place } else { 0 }];
             let things = factor.things.iter().enumerate();
@@ -110,7 +115,7 @@ impl FactorValues {
     /// Returns each change: the property, the index of the object in the model, and the values.
     fn each<'a>(&'a self, scene: &'a Scene) -> impl Iterator<Item = (Property, usize, &'a [f64])> {
         self.drawn.iter().flat_map(|(index, values)| {
-            let factor = &scene.parts.factors[*index];
+            let factor = &scene.resolved.factors[*index];
             let width = factor.property.width();
             factor.things.iter().enumerate().map(move |(place, thing)| {
                 let first = if factor.each { place * width } else { 0 };
@@ -260,7 +265,7 @@ fn prefer_frictions(model: &mut MjModel, frictions: &BTreeMap<usize, f64>) {
 
 /// Returns the largest number by which the factors that a spec turns on multiply a geom's size.
 pub(super) fn largest_size(scene: &Scene, spec: &Simulation, geom: usize) -> f64 {
-    let on = scene.parts.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+    let on = scene.resolved.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
     let of_geom = on.filter(|factor| factor.property == Property::GeomSize && factor.things.contains(&geom));
     of_geom.map(|factor| factor.drawing.range()[1]).product()
 }

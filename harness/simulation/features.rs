@@ -3,7 +3,7 @@
 use super::controls::Control;
 use super::load::can_sleep;
 use super::names::{ACTUATOR, FLEX, GEOM, JOINT, NAMES_SHOWN, ObjectKind, SENSOR, name_of};
-use super::resolve::Reading;
+use super::resolved::Reading;
 use super::scene::Scene;
 use harness_shared::numbers::first_few;
 use mujoco_rs::prelude::*;
@@ -13,17 +13,17 @@ impl Scene {
     /// first rules apply. They ignored that actuators can have several controls or states, that joints can be coupled,
     /// adhesion, the contacts of sleeping bodies, and the poses of mocap bodies in keyframes.
     pub fn rule(&self) -> Option<u32> {
-        let (model, settling) = (&self.model, &self.parts.settling);
+        let (model, settling) = (&self.model, &self.resolved.settling);
         let is_shifted = (0..).zip(model.actuator_ctrladr()).any(|(actuator, address)| actuator != *address);
         let is_settled = !settling.couplings.is_empty() || !settling.states.is_empty();
         let newer = [MjtGain::mjGAIN_PID, MjtGain::mjGAIN_DCMOTOR];
         let is_later = is_shifted
             || !settling.delayed.is_empty()
-            || self.parts.keyframe.is_none()
+            || self.resolved.keyframe.is_none()
                 && (is_settled || model.actuator_gaintype().iter().any(|gain| newer.contains(gain)))
-            || self.parts.forces > 0 && model.flg_adhesion()
+            || self.resolved.forces > 0 && model.flg_adhesion()
             || self.senses_sleepers()
-            || self.parts.keyframe.is_some() && model.nmocap() > 0 && !self.parts.flows.is_empty();
+            || self.resolved.keyframe.is_some() && model.nmocap() > 0 && !self.resolved.flows.is_empty();
         is_later.then_some(2)
     }
 
@@ -37,10 +37,10 @@ impl Scene {
         let sleeps = |tree: usize| !awake.contains(&model.tree_sleep_policy()[tree]);
         // What can't move touches sleeping bodies.
         let can_rest = |body: i32| usize::try_from(model.body_treeid()[body as usize]).map_or(true, sleeps);
-        let geoms = self.parts.force_of_geom.iter().zip(model.geom_bodyid());
+        let geoms = self.resolved.force_of_geom.iter().zip(model.geom_bodyid());
         let is_sensed = geoms.into_iter().any(|(force, body)| force.is_some() && can_rest(*body));
         (0..model.ntree() as usize).any(sleeps)
-            && (is_sensed || self.parts.force_of_flex.iter().any(Option::is_some))
+            && (is_sensed || self.resolved.force_of_flex.iter().any(Option::is_some))
     }
 }
 
@@ -51,7 +51,7 @@ pub(super) fn features(scene: &Scene) -> Vec<String> {
     found.extend(delays(scene));
     found.extend(couplings(scene));
     found.extend(disabled(scene));
-    if scene.parts.forces > 0 {
+    if scene.resolved.forces > 0 {
         found.extend(adhesion(scene));
         found.extend(sleepers(scene));
         found.extend(margins(scene));
@@ -68,7 +68,7 @@ fn names(model: &MjModel, kind: ObjectKind, ids: impl Iterator<Item = usize>) ->
 
 fn is_driven(scene: &Scene, control: Control) -> bool {
     let index = control.index(&scene.model);
-    scene.parts.actuators.iter().any(|driven| driven.controls.contains(&index))
+    scene.resolved.actuators.iter().any(|driven| driven.controls.contains(&index))
 }
 
 /// The actuators that the action moves.
@@ -80,7 +80,7 @@ fn driven(scene: &Scene) -> impl Iterator<Item = usize> {
 /// Controls that no setpoint drives, of actuators that have others.
 fn idle_controls(scene: &Scene) -> Vec<String> {
     let model = &scene.model;
-    let value = if scene.parts.keyframe.is_some() { "as in the keyframe" } else { "0" };
+    let value = if scene.resolved.keyframe.is_some() { "as in the keyframe" } else { "0" };
     let note = |actuator: usize| {
         let idle = Control::all_of(model, actuator).filter(|control| !is_driven(scene, *control));
         let idle: Vec<&str> = idle.filter_map(|control| control.name(model)).collect();
@@ -99,7 +99,7 @@ fn idle_controls(scene: &Scene) -> Vec<String> {
 fn states(scene: &Scene) -> Option<String> {
     let with_state = |actuator: &usize| scene.model.actuator_actnum()[*actuator] > 0;
     let names = names(&scene.model, ACTUATOR, driven(scene).filter(with_state))?;
-    let start = if scene.parts.keyframe.is_some() { "the keyframe gives it" } else { "it is settled" };
+    let start = if scene.resolved.keyframe.is_some() { "the keyframe gives it" } else { "it is settled" };
     Some(format!(
         "{names} has a state of its own (a filter, an integral, a muscle); at the start of an episode, {start}"
     ))
@@ -116,7 +116,7 @@ fn delays(scene: &Scene) -> Vec<String> {
         let first = model.sensor_adr()[*sensor] as usize;
         let values = first..first + model.sensor_dim()[*sensor] as usize;
         let reads = |reading: &Reading| matches!(reading, Reading::Sensor(index) if values.contains(index));
-        scene.parts.readings.iter().flatten().any(reads)
+        scene.resolved.readings.iter().flatten().any(reads)
     };
     let late =
         |sensor: &usize| model.sensor_delay()[*sensor] > 0.0 || model.sensor_interval()[*sensor][0] > 0.0;
@@ -129,8 +129,8 @@ fn delays(scene: &Scene) -> Vec<String> {
 
 /// Joints that an equality couples to others.
 fn couplings(scene: &Scene) -> Option<String> {
-    let coupled = scene.parts.settling.couplings.iter().map(|coupling| coupling.joint);
-    let names = names(&scene.model, JOINT, coupled.filter(|_| scene.parts.keyframe.is_none()))?;
+    let coupled = scene.resolved.settling.couplings.iter().map(|coupling| coupling.joint);
+    let names = names(&scene.model, JOINT, coupled.filter(|_| scene.resolved.keyframe.is_none()))?;
     Some(format!("{names} is coupled by an equality, which says where it starts"))
 }
 

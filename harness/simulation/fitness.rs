@@ -7,7 +7,7 @@ use super::load::can_sleep;
 use super::names::{ACTUATOR, JOINT, name_of};
 use super::physics::{Instant, Physics};
 use super::plan::EpisodePlan;
-use super::resolve::Driven;
+use super::resolved::Driven;
 use super::scene::Scene;
 use harness_spec::{Motion, Simulation};
 use mujoco_rs::prelude::*;
@@ -130,13 +130,18 @@ fn servos(scene: &Scene) -> Vec<Servo> {
         };
         driven.qpos.iter().filter_map(servo).collect()
     };
-    scene.parts.actuators.iter().enumerate().flat_map(of).collect()
+    scene.resolved.actuators.iter().enumerate().flat_map(of).collect()
 }
 
 /// For each geom, whether it is one of a body that each episode places.
 fn placed(scene: &Scene) -> Vec<bool> {
-    let bodies: BTreeSet<usize> =
-        scene.parts.placements.iter().flat_map(|placement| &placement.boxes).map(|body| body.body).collect();
+    let bodies: BTreeSet<usize> = scene
+        .resolved
+        .placements
+        .iter()
+        .flat_map(|placement| &placement.boxes)
+        .map(|body| body.body)
+        .collect();
     let root = |body: &i32| scene.model.body_rootid()[*body as usize] as usize;
     scene.model.geom_bodyid().iter().map(|body| bodies.contains(&root(body))).collect()
 }
@@ -169,7 +174,7 @@ fn watch(scene: &Scene, spec: &Simulation, episode: u32) -> Result<Seen, Simulat
     let has_moves =
         action.course.is_none() && matches!(action.motion, Motion::RandomSetpoints | Motion::RandomWalk);
     let (mut seen, servos, placed) = (Seen::new(scene), servos(scene), placed(scene));
-    let (mut sums, mut steps, mut free) = (vec![0.0; scene.parts.forces], 0, 0);
+    let (mut sums, mut steps, mut free) = (vec![0.0; scene.resolved.forces], 0, 0);
     for step in 0..=(timing.samples - 1) * timing.steps_per_sample {
         physics.follow(&plan)?;
         let (instant, data) = physics.sampled();
@@ -271,7 +276,7 @@ impl Seen {
     }
 
     fn findings(mut self, scene: &Scene) -> Vec<Finding> {
-        let (model, forces, samples) = (&scene.model, scene.parts.forces, self.samples as f64);
+        let (model, forces, samples) = (&scene.model, scene.resolved.forces, self.samples as f64);
         let has_placed = scene.boxes() > 0;
         let touched = |row: &[f64]| row.iter().any(|force| *force != 0.0);
         let often = |link: &usize| {
@@ -403,8 +408,8 @@ fn contacts(
     data.contact().iter().enumerate().filter_map(|(index, contact)| {
         let geoms = contact.geom.map(|geom| usize::try_from(geom).ok());
         let flexes = contact.flex.map(|flex| usize::try_from(flex).ok());
-        let is_sensed = geoms.iter().flatten().any(|geom| scene.parts.force_of_geom[*geom].is_some())
-            || flexes.iter().flatten().any(|flex| scene.parts.force_of_flex[*flex].is_some());
+        let is_sensed = geoms.iter().flatten().any(|geom| scene.resolved.force_of_geom[*geom].is_some())
+            || flexes.iter().flatten().any(|flex| scene.resolved.force_of_flex[*flex].is_some());
         (is_sensed && contact.efc_address >= 0).then(|| (geoms, -contact.dist, data.contact_force(index)[0]))
     })
 }

@@ -6,7 +6,7 @@
 //! inside a geom therefore does not see this geom.
 
 use super::physics::Instant;
-use super::resolve::{SceneCamera, SceneFlow};
+use super::resolved::{SceneCamera, SceneFlow};
 use super::scene::{Scene, write_state};
 use harness_spec::IMAGE_CHANNELS;
 use mujoco_rs::prelude::*;

@@ -4,7 +4,7 @@ use super::SimulationError;
 use super::factors::{product, stream};
 use super::joints::{is_free, is_single};
 use super::names::{BODY, JOINT, named};
-use super::resolve::Reading;
+use super::resolved::Reading;
 use super::scene::Scene;
 use harness_spec::{Modality, Simulation, matching};
 use mujoco_rs::prelude::*;
@@ -198,10 +198,10 @@ fn joints(scene: &Scene, name: &str) -> Result<Vec<usize>, SimulationError> {
                     .iter()
                     .rposition(|first| *first as usize <= at)
                     .map(|joint| joint..joint + 1),
-                Reading::Pose(index, _) => of_body(scene.parts.posed[index].id),
+                Reading::Pose(index, _) => of_body(scene.resolved.posed[index].id),
                 _ => None,
             };
-            scene.parts.readings[position].iter().filter_map(of).flatten().collect()
+            scene.resolved.readings[position].iter().filter_map(of).flatten().collect()
         }
         None => {
             let matched = |kind| {

@@ -30,6 +30,7 @@ mod placement;
 mod plan;
 mod plugins;
 mod resolve;
+mod resolved;
 mod restart;
 mod scene;
 mod sensors;

@@ -6,7 +6,7 @@ use super::episode::{record, refuse_policy, with_room};
 use super::flow::Flow;
 use super::physics::{Physics, sensed_position};
 use super::plan::EpisodePlan;
-use super::resolve::SceneSight;
+use super::resolved::SceneSight;
 use super::scene::Scene;
 use super::sight::Sight;
 use harness_spec::{Episode, IMAGE_CHANNELS, Modality, Pose, Simulation};
@@ -54,7 +54,7 @@ impl LiveSimulation {
     /// When the spec's ranges or rates do not suit the scene, the boxes find no place, or the simulation diverges.
     pub fn new(scene: &'static Scene, spec: &Simulation) -> Result<Self, SimulationError> {
         let (physics, plan) = (Physics::new(scene, spec)?, EpisodePlan::draw(scene, spec, 0)?);
-        let flows = scene.parts.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
+        let flows = scene.resolved.flows.iter().map(|flow| Flow::new(scene, *flow)).collect();
         let mut live = Self { spec: spec.clone(), physics, plan, flows };
         live.reset(spec.seed, 0)?;
         Ok(live)
@@ -138,7 +138,7 @@ impl LiveSimulation {
     /// Returns the position of the fingertip in the world, m: the end of the axis of the last link whose contacts are
     /// sensed. It is `None` if there is no such link.
     pub fn fingertip(&self) -> Option<[f64; 3]> {
-        let tip = self.physics.scene.parts.tip?;
+        let tip = self.physics.scene.resolved.tip?;
         let data = self.physics.derived();
         let (joint, middle) = (data.xpos()[tip.body], data.geom_xpos()[tip.geom]);
         Some(std::array::from_fn(|axis| 2.0 * middle[axis] - joint[axis]))
@@ -147,7 +147,7 @@ impl LiveSimulation {
     /// Returns the pose of each box in the world.
     pub fn boxes(&self) -> impl Iterator<Item = Pose> {
         let qpos = &self.physics.instant.state;
-        let boxes = self.physics.scene.parts.placements.iter().flat_map(|placement| &placement.boxes);
+        let boxes = self.physics.scene.resolved.placements.iter().flat_map(|placement| &placement.boxes);
         boxes.map(|body| std::array::from_fn(|axis| qpos[body.qpos + axis]))
     }
 
@@ -158,7 +158,7 @@ impl LiveSimulation {
     /// When no camera is recorded for this modality, or there is no OpenGL to render with.
     pub fn image(&mut self, modality: Modality, frame: &mut [u8]) -> Result<(), SimulationError> {
         let scene = self.physics.scene;
-        if let Some(place) = scene.parts.flows.iter().position(|flow| flow.image.modality == modality) {
+        if let Some(place) = scene.resolved.flows.iter().position(|flow| flow.image.modality == modality) {
             frame.copy_from_slice(self.flows[place].render(&self.physics.instant));
             return Ok(());
         }
@@ -169,7 +169,7 @@ impl LiveSimulation {
                 frame.copy_from_slice(&pixels);
             });
         }
-        let recorded = scene.parts.cameras.iter().find(|camera| camera.modality == modality);
+        let recorded = scene.resolved.cameras.iter().find(|camera| camera.modality == modality);
         let recorded = recorded.ok_or_else(|| SimulationError::Missing {
             scene: scene.name.clone(),
             kind: "camera for the modality",
@@ -223,11 +223,11 @@ impl LiveSimulation {
             pixels.resize(before + rows * columns * IMAGE_CHANNELS, 0);
             self.image(image.modality, &mut pixels[before..])?;
         }
-        if let Some(camera) = scene.parts.cameras.first() {
+        if let Some(camera) = scene.resolved.cameras.first() {
             CAMERAS.with_borrow(|cameras| {
                 episode.renderer = cameras[&(key(scene), camera.modality)].renderer_name().to_owned();
             });
-        } else if let Some(of) = scene.parts.sights.first() {
+        } else if let Some(of) = scene.resolved.sights.first() {
             SIGHTS.with_borrow(|sights| {
                 episode.renderer = sights[&(key(scene), of.camera, of.size)].renderer_name().to_owned();
             });

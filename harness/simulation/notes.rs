@@ -8,7 +8,8 @@ use super::joints::{ball_and_free, described, is_single, touches, word};
 use super::names::{GEOM, JOINT, NAMES_SHOWN, name_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{PosedObject, Reading, is_pinhole};
+use super::resolve::is_pinhole;
+use super::resolved::{PosedObject, Reading};
 use super::scene::Scene;
 use harness_shared::numbers::first_few;
 use harness_spec::{Definition, Posed, Simulation};
@@ -88,7 +89,7 @@ fn several_units(scene: &Scene) -> Vec<String> {
 fn unlimited(scene: &Scene) -> Vec<String> {
     let actuators = scene.world().file().action.actuators.iter();
     let free = actuators
-        .zip(&scene.parts.actuators)
+        .zip(&scene.resolved.actuators)
         .filter(|(_, driven)| driven.mocap.is_none() && driven.limits.map(f64::is_finite) == [false; 2]);
     free.map(|((element, actuator), _)| {
         let [low, high] = actuator.range;
@@ -129,8 +130,13 @@ fn unsettled(scene: &Scene, spec: &Simulation) -> Result<Option<String>, Simulat
 
 /// The indices of the ball and free joints whose bodies are not placed at random.
 fn unplaced(scene: &Scene) -> Vec<usize> {
-    let placed: BTreeSet<usize> =
-        scene.parts.placements.iter().flat_map(|placement| &placement.boxes).map(|body| body.qpos).collect();
+    let placed: BTreeSet<usize> = scene
+        .resolved
+        .placements
+        .iter()
+        .flat_map(|placement| &placement.boxes)
+        .map(|body| body.qpos)
+        .collect();
     let joints = ball_and_free(&scene.model).into_iter();
     joints.filter(|joint| !placed.contains(&(scene.model.jnt_qposadr()[*joint] as usize))).collect()
 }
@@ -142,10 +148,10 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
         Posed::Body => model.body_weldid()[*id],
         Posed::Site => model.body_weldid()[model.site_bodyid()[*id] as usize],
     };
-    let recorded: BTreeSet<i32> = scene.parts.posed.iter().map(body).collect();
+    let recorded: BTreeSet<i32> = scene.resolved.posed.iter().map(body).collect();
     let is_read = |joint: usize| {
         let end = model.jnt_qposadr()[joint] as usize + if word(model, joint) == "free" { 3 } else { 0 };
-        scene.parts.readings.iter().flatten().any(|reading| *reading == Reading::Orientation(end, 0))
+        scene.resolved.readings.iter().flatten().any(|reading| *reading == Reading::Orientation(end, 0))
     };
     let mut joints = unplaced(scene);
     joints.retain(|joint| !recorded.contains(&model.jnt_bodyid()[*joint]) && !is_read(*joint));
@@ -162,12 +168,12 @@ fn unrecorded_bodies(scene: &Scene) -> Option<String> {
 fn unrecorded_forces(scene: &Scene) -> Option<String> {
     let (model, unplaced) = (&scene.model, unplaced(scene));
     let is_left_out = |geom: &usize| {
-        scene.parts.force_of_geom[*geom].is_none()
+        scene.resolved.force_of_geom[*geom].is_none()
             && touches(model, *geom, |joint| !is_single(model, joint) && unplaced.contains(&joint))
     };
     let geoms: Vec<usize> = (0..model.ngeom() as usize).filter(is_left_out).collect();
     let names: Vec<String> = geoms.into_iter().map(|geom| name_of(model, GEOM, geom)).collect();
-    (scene.parts.forces > 0 && !names.is_empty())
+    (scene.resolved.forces > 0 && !names.is_empty())
         .then(|| format!("no modality records the forces on the geoms {}", first_few(&names, NAMES_SHOWN)))
 }
 

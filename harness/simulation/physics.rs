@@ -7,7 +7,7 @@ use super::motion::Probe;
 use super::noise::Noise;
 use super::placement::check_start;
 use super::plan::EpisodePlan;
-use super::resolve::{ContactKinds, PosedObject, Reading};
+use super::resolved::{ContactKinds, PosedObject, Reading};
 use super::scene::{Scene, read_state};
 use super::sensors::{
     MeanForces, Resting, add_kinds, instability, sum_forces, take_largest_kinds, write_normals,
@@ -109,7 +109,7 @@ impl Instant {
     /// Returns the elements of the vector with this index in the scene's layout.
     pub fn vector(&self, scene: &Scene, position: usize) -> impl Iterator<Item = f32> {
         let noise = &self.noise[position];
-        scene.parts.readings[position].iter().enumerate().map(move |(index, reading)| {
+        scene.resolved.readings[position].iter().enumerate().map(move |(index, reading)| {
             let value = self.read(*reading);
             noise.get(index).map_or(value, |noise| value + noise) as f32
         })
@@ -179,22 +179,22 @@ impl<'s> Physics<'s> {
         let is_copied = is_runge_kutta(&scene.model);
         let sampled = (is_copied || can_sleep(&scene.model)).then(|| MjData::new(scene.model.clone()));
         let averages =
-            scene.parts.readings.iter().flatten().any(|reading| matches!(reading, Reading::MeanForce(_)));
-        let elements = scene.parts.actuators.len();
-        let kind_sums = |kinds: &ContactKinds| vec![0.0; scene.parts.forces * (kinds.last + 1)];
+            scene.resolved.readings.iter().flatten().any(|reading| matches!(reading, Reading::MeanForce(_)));
+        let elements = scene.resolved.actuators.len();
+        let kind_sums = |kinds: &ContactKinds| vec![0.0; scene.resolved.forces * (kinds.last + 1)];
         let instant = Instant {
             model: scene.model.clone(),
             state: scene.rest().to_vec(),
             state_before: scene.rest().to_vec(),
             qvel: data.qvel().to_vec(),
             setpoint: vec![0.0; elements],
-            poses: vec![Pose::default(); scene.parts.posed.len()],
-            forces: vec![0.0; scene.parts.forces],
-            mean_forces: vec![0.0; scene.parts.forces],
-            contact_kinds: vec![vec![0; scene.parts.forces]; scene.parts.contact_kinds.len()],
-            normals: vec![[0.0; 3]; scene.parts.normals.len()],
+            poses: vec![Pose::default(); scene.resolved.posed.len()],
+            forces: vec![0.0; scene.resolved.forces],
+            mean_forces: vec![0.0; scene.resolved.forces],
+            contact_kinds: vec![vec![0; scene.resolved.forces]; scene.resolved.contact_kinds.len()],
+            normals: vec![[0.0; 3]; scene.resolved.normals.len()],
             sensors: data.sensordata().to_vec(),
-            noise: vec![Vec::new(); scene.parts.readings.len()],
+            noise: vec![Vec::new(); scene.resolved.readings.len()],
         };
         Ok(Self {
             scene,
@@ -205,10 +205,10 @@ impl<'s> Physics<'s> {
             averages,
             instant,
             setpoint: vec![0.0; elements],
-            forces: vec![0.0; scene.parts.forces],
+            forces: vec![0.0; scene.resolved.forces],
             resting: Resting::default(),
-            mean: MeanForces::new(scene.parts.forces),
-            kind_sums: scene.parts.contact_kinds.iter().map(kind_sums).collect(),
+            mean: MeanForces::new(scene.resolved.forces),
+            kind_sums: scene.resolved.contact_kinds.iter().map(kind_sums).collect(),
             noise: Noise::default(),
             probe: None,
             episode: 0,
@@ -284,13 +284,13 @@ impl<'s> Physics<'s> {
             if is_read {
                 sum_forces(self.scene, data, &self.resting, &mut self.forces);
                 self.mean.add(&self.forces);
-                for (kinds, sums) in self.scene.parts.contact_kinds.iter().zip(&mut self.kind_sums) {
+                for (kinds, sums) in self.scene.resolved.contact_kinds.iter().zip(&mut self.kind_sums) {
                     if is_sample || kinds.averages {
                         add_kinds(self.scene, kinds, data, &self.resting, sums);
                     }
                 }
             }
-            if let (Some(probe), Some(touch)) = (&mut self.probe, &self.scene.parts.touch) {
+            if let (Some(probe), Some(touch)) = (&mut self.probe, &self.scene.resolved.touch) {
                 let force: f64 = touch.forces.iter().map(|force| self.forces[*force]).sum();
                 probe.advance(force > touch.least_n);
             }
@@ -299,16 +299,16 @@ impl<'s> Physics<'s> {
                 self.instant.forces.copy_from_slice(&self.forces);
                 self.mean.take(&mut self.instant.mean_forces);
                 let found = self.kind_sums.iter_mut().zip(&mut self.instant.contact_kinds);
-                for (kinds, (sums, found)) in self.scene.parts.contact_kinds.iter().zip(found) {
+                for (kinds, (sums, found)) in self.scene.resolved.contact_kinds.iter().zip(found) {
                     take_largest_kinds(kinds, sums, found);
                 }
                 write_normals(self.scene, data, &self.resting, &mut self.instant.normals);
                 self.instant.sensors.copy_from_slice(data.sensordata());
-                for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.parts.posed) {
+                for (pose, object) in self.instant.poses.iter_mut().zip(&self.scene.resolved.posed) {
                     *pose = pose_of(data, *object);
                 }
                 let scene = self.scene;
-                self.noise.draw(|position| scene.parts.readings[position].len(), &mut self.instant.noise);
+                self.noise.draw(|position| scene.resolved.readings[position].len(), &mut self.instant.noise);
                 return Ok(());
             }
         }
@@ -338,37 +338,37 @@ impl<'s> Physics<'s> {
         self.mean.clear();
         self.kind_sums.iter_mut().for_each(|sums| sums.fill(0.0));
         self.noise = plan.noise.clone();
-        self.probe = self.scene.parts.touch.as_ref().map(|_| Probe::new(&self.timing));
+        self.probe = self.scene.resolved.touch.as_ref().map(|_| Probe::new(&self.timing));
         // Starts from the scene's own model, so that no change of the previous episode remains.
         self.instant.model = plan.factors.apply(self.scene, &self.scene.model);
         for data in [&mut self.data].into_iter().chain(&mut self.sampled) {
             data.swap_model(self.instant.model.clone());
         }
         plan.setpoint(0, &mut self.setpoint);
-        match self.scene.parts.keyframe {
+        match self.scene.resolved.keyframe {
             Some(key) => self.data.reset_keyframe(key).expect("the scene has the keyframe"),
             None => self.data.reset(),
         }
         let qpos = self.data.qpos_mut();
         // In a keyframe, the author of the model says where the joints are.
-        let driven = self.scene.parts.actuators.iter().filter(|_| self.scene.parts.keyframe.is_none());
+        let driven = self.scene.resolved.actuators.iter().filter(|_| self.scene.resolved.keyframe.is_none());
         for (driven, value) in driven.zip(&self.setpoint) {
             driven.qpos.iter().for_each(|index| qpos[*index] = *value);
         }
         plan.factors.offset_joints(self.scene, qpos);
         let scene = self.scene;
-        if scene.parts.keyframe.is_none() {
-            scene.parts.settling.couple(&self.instant.model, qpos);
+        if scene.resolved.keyframe.is_none() {
+            scene.resolved.settling.couple(&self.instant.model, qpos);
         }
-        let boxes = self.scene.parts.placements.iter().flat_map(|placement| &placement.boxes);
+        let boxes = self.scene.resolved.placements.iter().flat_map(|placement| &placement.boxes);
         for (body, pose) in boxes.zip(&plan.boxes) {
             qpos[body.qpos..body.qpos + pose.len()].copy_from_slice(pose);
         }
         self.command();
-        if scene.parts.keyframe.is_none() {
-            scene.parts.settling.settle_states(&mut self.data);
+        if scene.resolved.keyframe.is_none() {
+            scene.resolved.settling.settle_states(&mut self.data);
         }
-        scene.parts.settling.fill_delays(&mut self.data);
+        scene.resolved.settling.fill_delays(&mut self.data);
         self.resting.restart(scene, &self.data);
     }
 
@@ -425,11 +425,11 @@ impl<'s> Physics<'s> {
 
     fn command(&mut self) {
         let ctrl = self.data.ctrl_mut();
-        for (driven, value) in self.scene.parts.actuators.iter().zip(&self.setpoint) {
+        for (driven, value) in self.scene.resolved.actuators.iter().zip(&self.setpoint) {
             driven.controls.iter().for_each(|control| ctrl[*control] = *value);
         }
         let places = self.data.mocap_pos_mut();
-        for (driven, value) in self.scene.parts.actuators.iter().zip(&self.setpoint) {
+        for (driven, value) in self.scene.resolved.actuators.iter().zip(&self.setpoint) {
             if let Some((mocap, axis)) = driven.mocap {
                 places[mocap][axis] = *value;
             }

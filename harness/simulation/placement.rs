@@ -2,7 +2,7 @@
 
 use super::SimulationError;
 use super::factors::{FactorValues, largest_size, product};
-use super::resolve::{Area, Mount, Placement};
+use super::resolved::{Area, Mount, Placement};
 use super::scene::Scene;
 use super::standing::FreeBody;
 use harness_spec::{Pose, Simulation};
@@ -108,7 +108,7 @@ impl Draws<'_> {
 
 /// Returns the bodies that an episode places, in their order.
 fn bodies(scene: &Scene) -> impl Iterator<Item = (&Placement, &FreeBody)> {
-    let placements = scene.parts.placements.iter();
+    let placements = scene.resolved.placements.iter();
     placements.flat_map(|placement| placement.boxes.iter().map(move |body| (placement, body)))
 }
 
@@ -128,7 +128,7 @@ pub(super) fn place_boxes(
 ) -> Result<Vec<Pose>, SimulationError> {
     let Some(ground) = &scene.ground else { return Ok(Vec::new()) };
     let rest = scene.start(spec);
-    let mounts = scene.parts.placements.iter().filter_map(|placement| match &placement.area {
+    let mounts = scene.resolved.placements.iter().filter_map(|placement| match &placement.area {
         Area::Sector(mount) => Some(mount),
         Area::Rectangle(_) => None,
     });
@@ -140,7 +140,7 @@ pub(super) fn place_boxes(
         .collect();
     let draws = Draws { scene, spec, ranges: scene.ranges(spec), episode };
     let (mut taken, mut drawn) = (kept_free.clone(), Vec::with_capacity(scene.boxes()));
-    for placement in &scene.parts.placements {
+    for placement in &scene.resolved.placements {
         let mut attempts = MAX_DRAWS;
         for body in &placement.boxes {
             let found = draws.draw(placement, body.radius(|_| 1.0), &taken, &mut attempts, rng);

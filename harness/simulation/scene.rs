@@ -4,7 +4,8 @@ use super::course::Course;
 use super::load::{compile_error, load_file, load_text, read_model};
 use super::names::{CAMERA, called};
 use super::plugins::load_plugins;
-use super::resolve::{Area, Driven, Mount, Parts, Resolver, SceneCamera, SceneCoded, SceneSight, within};
+use super::resolve::{Resolver, within};
+use super::resolved::{Area, Driven, Mount, Resolved, SceneCamera, SceneCoded, SceneSight};
 use super::standing::GroundModel;
 use super::timing::Timing;
 use super::{MUJOCO_VERSION, SimulationError, mujoco_version};
@@ -30,7 +31,7 @@ pub struct Scene {
     pub(super) course: Option<Course>,
     pub(super) model: Arc<MjModel>,
     /// What the world file names.
-    pub(super) parts: Parts,
+    pub(super) resolved: Resolved,
     /// The ground below the bodies that are placed; `None` if there are none.
     pub(super) ground: Option<GroundModel>,
     /// The positions of the model at rest.
@@ -123,18 +124,18 @@ impl Scene {
         model_sha256: String,
         name: String,
     ) -> Result<Self, SimulationError> {
-        let parts = Resolver::new(&world, &model).resolve()?;
+        let resolved = Resolver::new(&world, &model).resolve()?;
         // Frames that are larger than the model's offscreen buffer would be refused.
-        let of_cameras = parts.cameras.iter().map(|camera| camera.size);
-        for [rows, columns] in of_cameras.chain(parts.sights.iter().map(|sight| sight.size)) {
+        let of_cameras = resolved.cameras.iter().map(|camera| camera.size);
+        for [rows, columns] in of_cameras.chain(resolved.sights.iter().map(|sight| sight.size)) {
             let buffer = &mut model.vis_mut().global;
             buffer.offheight = buffer.offheight.max(rows as i32);
             buffer.offwidth = buffer.offwidth.max(columns as i32);
         }
         let course = Course::of(&world)?;
-        let rest = rest_of(&model, parts.keyframe, &parts.actuators);
-        let ground = (!parts.placements.is_empty()).then(|| GroundModel::new(&model));
-        Ok(Self { name, world, xml, model_sha256, course, model: Arc::new(model), parts, ground, rest })
+        let rest = rest_of(&model, resolved.keyframe, &resolved.actuators);
+        let ground = (!resolved.placements.is_empty()).then(|| GroundModel::new(&model));
+        Ok(Self { name, world, xml, model_sha256, course, model: Arc::new(model), resolved, ground, rest })
     }
 
     /// Refuses settings that do not suit the model.
@@ -155,7 +156,7 @@ impl Scene {
     /// Returns the time grid of an episode.
     pub(super) fn timing(&self, spec: &Simulation) -> Result<Timing, SimulationError> {
         let ranges = self.ranges(spec);
-        for (&[low, high], driven) in ranges.iter().zip(&self.parts.actuators) {
+        for (&[low, high], driven) in ranges.iter().zip(&self.resolved.actuators) {
             if !within([low, high], driven.limits) {
                 let [min, max] = driven.limits;
                 let name = &self.name;
@@ -170,7 +171,7 @@ impl Scene {
 
     /// Refuses ranges with which the arm could pull a body that sweeps a sector past the arm's axis.
     fn check_sectors(&self, ranges: &[[f64; 2]]) -> Result<(), SimulationError> {
-        for placement in &self.parts.placements {
+        for placement in &self.resolved.placements {
             let Area::Sector(Mount { elements: [_, extension], radius, .. }) = &placement.area else {
                 continue;
             };
@@ -181,7 +182,7 @@ impl Scene {
                      arm's axis",
                     -radius, placement.name
                 );
-                let field = self.parts.actuators[*extension].setting.clone();
+                let field = self.resolved.actuators[*extension].setting.clone();
                 return Err(SimulationError::Spec { field, problem });
             }
         }
@@ -194,13 +195,13 @@ impl Scene {
         let range = |(driven, (_, own)): (&Driven, (&str, &Actuator))| {
             spec.range(&driven.setting).unwrap_or(own.range)
         };
-        self.parts.actuators.iter().zip(own).map(range).collect()
+        self.resolved.actuators.iter().zip(own).map(range).collect()
     }
 
     /// Returns the setpoint at the start of every episode: the controls of the keyframe or, without one, what the world
     /// file says.
     pub(super) fn start(&self, spec: &Simulation) -> Vec<f64> {
-        if let Some(key) = self.parts.keyframe {
+        if let Some(key) = self.resolved.keyframe {
             let (controls, places) = (self.model.key_ctrl(), self.model.key_mpos());
             let controls = &controls[key * self.model.nu() as usize..];
             let places = &places[key * 3 * self.model.nmocap() as usize..];
@@ -211,7 +212,7 @@ impl Scene {
                 };
                 value.clamp(low, high)
             };
-            return self.ranges(spec).into_iter().zip(&self.parts.actuators).map(start).collect();
+            return self.ranges(spec).into_iter().zip(&self.resolved.actuators).map(start).collect();
         }
         let actuators = self.world.file().action.actuators.iter();
         let start = |([low, high], (_, actuator)): ([f64; 2], (&str, &Actuator))| match actuator.start {
@@ -234,13 +235,13 @@ impl Scene {
 
     /// Returns the layout of the samples if no factor of variation is on.
     pub fn layout(&self) -> &Arc<Layout> {
-        &self.parts.layout
+        &self.resolved.layout
     }
 
     /// Returns the layout of the samples under a spec. If the spec turns on factors, their values are the last
     /// modality.
     pub fn layout_of(&self, spec: &Simulation) -> Arc<Layout> {
-        let on = self.parts.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
+        let on = self.resolved.factors.iter().filter(|factor| spec.factors.contains(&factor.name));
         let elements: Vec<Element> = on.flat_map(|factor| factor.elements.clone()).collect();
         if elements.is_empty() {
             return self.layout().clone();
@@ -257,7 +258,7 @@ impl Scene {
 
     /// Returns for each factor of variation its name, its property, its distribution and the names of its values.
     pub fn factors(&self) -> impl Iterator<Item = (&str, Property, String, Vec<&str>)> {
-        self.parts.factors.iter().map(|factor| {
+        self.resolved.factors.iter().map(|factor| {
             let elements = factor.elements.iter().map(|element| element.name.as_str()).collect();
             (factor.name.as_str(), factor.property, factor.drawing.to_string(), elements)
         })
@@ -265,7 +266,7 @@ impl Scene {
 
     /// Returns the lowest and the highest value of each factor of variation.
     pub fn factor_ranges(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
-        self.parts.factors.iter().map(|factor| (factor.name.as_str(), factor.drawing.range()))
+        self.resolved.factors.iter().map(|factor| (factor.name.as_str(), factor.drawing.range()))
     }
 
     /// Returns where the model came from, for messages.
@@ -307,12 +308,12 @@ impl Scene {
     /// Returns the state of a model at rest: the scene's model or a copy with other values. Mocap bodies have the poses
     /// of the world's keyframe.
     pub(super) fn at_rest(&self, model: Arc<MjModel>) -> MjData<Arc<MjModel>> {
-        at_rest(model, self.parts.keyframe)
+        at_rest(model, self.resolved.keyframe)
     }
 
     /// Returns the number of bodies that an episode places.
     pub fn boxes(&self) -> usize {
-        self.parts.placements.iter().map(|placement| placement.boxes.len()).sum()
+        self.resolved.placements.iter().map(|placement| placement.boxes.len()).sum()
     }
 
     /// Returns the names of the model's cameras, in the model's order. A camera without a name is called `camera_` and
@@ -324,20 +325,21 @@ impl Scene {
 
     /// Returns the modalities whose images are rendered: those of cameras, and then depths and segmentations.
     pub fn rendered(&self) -> impl Iterator<Item = Modality> {
-        let coded = self.parts.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image.modality);
-        self.parts.cameras.iter().map(|camera| camera.modality).chain(coded)
+        let coded =
+            self.resolved.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image.modality);
+        self.resolved.cameras.iter().map(|camera| camera.modality).chain(coded)
     }
 
     /// Returns all recorded images: of cameras, flows, depths and segmentations.
     pub(super) fn images(&self) -> impl Iterator<Item = SceneCamera> {
-        let flows = self.parts.flows.iter().map(|flow| flow.image);
-        let coded = self.parts.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image);
-        self.parts.cameras.iter().copied().chain(flows).chain(coded)
+        let flows = self.resolved.flows.iter().map(|flow| flow.image);
+        let coded = self.resolved.sights.iter().flat_map(|sight| &sight.coded).map(|coded| coded.image);
+        self.resolved.cameras.iter().copied().chain(flows).chain(coded)
     }
 
     /// Returns the depth or segmentation that a modality records, with its camera.
     pub(super) fn coded(&self, modality: &str) -> Option<(&SceneSight, &SceneCoded)> {
-        self.parts.sights.iter().find_map(|sight| {
+        self.resolved.sights.iter().find_map(|sight| {
             let coded = sight.coded.iter().find(|coded| coded.image.modality.name() == modality)?;
             Some((sight, coded))
         })

@@ -1,7 +1,7 @@
 //! Values that are computed from the state after each step: contact forces, and MuJoCo's warnings.
 
 use super::load::can_sleep;
-use super::resolve::{ContactKinds, ContactNormal};
+use super::resolved::{ContactKinds, ContactNormal};
 use super::scene::Scene;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_auxiliary::MjContact;
@@ -72,11 +72,11 @@ pub(super) fn write_normals(
     if found.is_empty() {
         return;
     }
-    let mut sums = vec![[0.0; 3]; scene.parts.forces];
+    let mut sums = vec![[0.0; 3]; scene.resolved.forces];
     each_touch(scene, data, resting, |Touch { link, force, normal, .. }| {
         sums[link].iter_mut().zip(normal).for_each(|(sum, part)| *sum += force * part);
     });
-    for (found, ContactNormal { force, body }) in found.iter_mut().zip(&scene.parts.normals) {
+    for (found, ContactNormal { force, body }) in found.iter_mut().zip(&scene.resolved.normals) {
         let (sum, axes) = (sums[*force], data.xmat()[*body]);
         let length = sum.iter().map(|part| part * part).sum::<f64>().sqrt();
         let along = |axis: usize| (0..3).map(|row| axes[3 * row + axis] * sum[row]).sum::<f64>() / length;
@@ -103,8 +103,8 @@ fn touches(
     // What is not a geom is a flex, and the other way round. The index of what it is not is negative.
     let of = |forces: &[Option<usize>], id: i32| forces.get(usize::try_from(id).ok()?).copied().flatten();
     let links = [0, 1].map(|side| {
-        of(&scene.parts.force_of_geom, contact.geom[side])
-            .or(of(&scene.parts.force_of_flex, contact.flex[side]))
+        of(&scene.resolved.force_of_geom, contact.geom[side])
+            .or(of(&scene.resolved.force_of_flex, contact.flex[side]))
     });
     if links == [None, None] {
         return [None; 2];
@@ -133,7 +133,7 @@ impl Resting {
     pub fn restart(&mut self, scene: &Scene, data: &MjData<Arc<MjModel>>) {
         self.touches.clear();
         self.asleep.clear();
-        if scene.parts.forces == 0 || !can_sleep(data.model()) {
+        if scene.resolved.forces == 0 || !can_sleep(data.model()) {
             return;
         }
         self.asleep.resize(data.tree_asleep().len(), false);

@@ -5,7 +5,7 @@
 
 use super::SimulationError;
 use super::opengl::{DECORATIONS, current_renderer_name, open_renderer, plain};
-use super::resolve::{Code, SceneSight};
+use super::resolved::{Code, SceneSight};
 use super::scene::Scene;
 use harness_spec::{CLASS_COLORS, IMAGE_CHANNELS};
 use mujoco_rs::prelude::*;

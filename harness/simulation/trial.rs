@@ -5,7 +5,8 @@ use super::SimulationError;
 use super::factors::{FactorValues, color_of};
 use super::physics::Physics;
 use super::plan::EpisodePlan;
-use super::resolve::{SceneFactor, dofs};
+use super::resolve::dofs;
+use super::resolved::SceneFactor;
 use super::scene::Scene;
 use super::standing::can_touch;
 use harness_shared::numbers::first_few;
@@ -25,10 +26,10 @@ impl Scene {
     /// # Errors
     /// When a placed body finds no place, or overlaps something. The error has the line of the placement.
     pub fn check_starts(&self) -> Result<(), SimulationError> {
-        if self.parts.placements.is_empty() {
+        if self.resolved.placements.is_empty() {
             return Ok(());
         }
-        let sizes = self.parts.factors.iter().filter(|factor| factor.property == Property::GeomSize);
+        let sizes = self.resolved.factors.iter().filter(|factor| factor.property == Property::GeomSize);
         let sizes: Vec<String> = sizes.map(|factor| factor.name.clone()).collect();
         let plain = self.world().simulation();
         let resized = (!sizes.is_empty()).then(|| Simulation { factors: sizes, ..plain.clone() });
@@ -58,7 +59,7 @@ impl Scene {
             let message = |message: String| format!("the factor '{}' {message}", factor.name);
             messages.map(|found| self.world().fault(&path, message(found))).collect::<Vec<_>>()
         };
-        self.parts.factors.iter().enumerate().flat_map(of_factor).collect()
+        self.resolved.factors.iter().enumerate().flat_map(of_factor).collect()
     }
 
     /// Returns why a factor, or some of what it changes, has no effect on what is recorded.
@@ -127,10 +128,10 @@ impl Scene {
             Property::GeomSize if !self.sees(thing) && !can_touch(model, thing) => {
                 Some("no camera sees it and nothing can touch it")
             }
-            Property::GeomColour if !self.sees(thing) || self.parts.cameras.is_empty() => {
+            Property::GeomColour if !self.sees(thing) || self.resolved.cameras.is_empty() => {
                 Some("no camera sees it")
             }
-            Property::LightBrightness if self.parts.cameras.is_empty() => Some("no image is recorded"),
+            Property::LightBrightness if self.resolved.cameras.is_empty() => Some("no image is recorded"),
             Property::LightBrightness if !model.light_active()[thing] => Some("it is off"),
             Property::CameraPosition | Property::CameraRotation if !is_recorded() => {
                 Some("no modality records its image")

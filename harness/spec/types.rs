@@ -1,14 +1,20 @@
 //! The types of a spec. Their bounds are defined only in the `schemars` attributes. Both the JSON schema for editors
 //! and the checks of a spec are generated from these attributes.
 
+mod schemas;
+
 use super::disturbance::{Disturbances, disturbances_schema};
 use super::origin::{IMPORTED_NAME, Origin};
 use super::search::Search;
 use super::simulation::{MAX_SEED, Simulation};
 use super::split::Split;
 use super::world::World;
-use crate::layout::{GivenScalings, Layout, Modality, by_modality, intern, names, scalings_schema};
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use crate::layout::{GivenScalings, Modality, intern, names, scalings_schema};
+use schemars::JsonSchema;
+use schemas::{
+    channels_schema, distributions_schema, factors_schema, loss_weights_schema, losses_schema,
+    outputs_schema, predict_schema, rates_schema, search_schema, test_dataset_schema, weight_schema,
+};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::collections::{BTreeMap, BTreeSet};
@@ -289,7 +295,7 @@ pub struct Experiment {
     /// A dataset of its own for the test. All runs in a world are then tested on the same episodes, whatever they are
     /// trained on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "test_dataset")]
+    #[schemars(schema_with = "test_dataset_schema")]
     pub test: Option<TestDataset>,
     /// What is wrong with the sensors of some inputs, in training and in the test: `{arm: {noise: 0.1, delay: 2}}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -325,7 +331,7 @@ pub struct Experiment {
     /// Settings to draw from distributions. Each trial is one combination and has runs of its own. The column `variant`
     /// of the tables names the trial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(schema_with = "search")]
+    #[schemars(schema_with = "search_schema")]
     pub search: Option<Search>,
     /// Alternative interpretations of choices that a paper leaves open. Each has runs of its own. The spec's own
     /// settings are the reading `base`. The column `reading` of the table `runs` names the reading.
@@ -747,19 +753,6 @@ impl ModalityDropout {
     }
 }
 
-fn factors_schema(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": { "type": "string" }, "uniqueItems": true })
-}
-fn rates_schema(_: &mut SchemaGenerator) -> Schema {
-    let rate = json_schema!({ "type": "number", "minimum": 0.0, "exclusiveMaximum": 1.0 });
-    json_schema!({ "type": "object", "additionalProperties": rate })
-}
-fn search(generator: &mut SchemaGenerator) -> Schema {
-    generator.subschema_for::<Search>()
-}
-fn test_dataset(generator: &mut SchemaGenerator) -> Schema {
-    generator.subschema_for::<TestDataset>()
-}
 fn default_seeds() -> Vec<u64> {
     vec![0]
 }
@@ -795,47 +788,4 @@ fn maybe_one_or_many<'de, D: serde::Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Vec<usize>>, D::Error> {
     Option::<OneOrMany>::deserialize(deserializer).map(|values| values.map(Into::into))
-}
-
-/// The schema of the list alone. Without it, the schema would also allow `null`.
-fn channels_schema(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({
-        "type": "array", "maxItems": 16,
-        "items": { "type": "integer", "minimum": 1, "maximum": 512 },
-    })
-}
-
-/// The schema of one value for each modality that is a vector.
-fn by_vector(of: Schema) -> Schema {
-    let mut schema = by_modality(of).to_value();
-    if let Some(properties) = schema["properties"].as_object_mut() {
-        let layout = Layout::finger();
-        properties.retain(|name, _| Modality::new(name).is_some_and(|modality| !layout[modality].is_image()));
-    }
-    schema.try_into().expect("an object with fewer properties is a schema")
-}
-
-fn losses_schema(generator: &mut SchemaGenerator) -> Schema {
-    by_vector(generator.subschema_for::<Loss>())
-}
-
-fn distributions_schema(generator: &mut SchemaGenerator) -> Schema {
-    by_vector(generator.subschema_for::<Family>())
-}
-
-fn predict_schema(generator: &mut SchemaGenerator) -> Schema {
-    by_vector(generator.subschema_for::<Predict>())
-}
-
-fn outputs_schema(generator: &mut SchemaGenerator) -> Schema {
-    by_modality(generator.subschema_for::<OutputSettings>())
-}
-
-fn weight_schema(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "number", "minimum": 0.0, "maximum": 1e6 })
-}
-
-/// The schema of one weight for each modality.
-fn loss_weights_schema(generator: &mut SchemaGenerator) -> Schema {
-    by_modality(weight_schema(generator))
 }

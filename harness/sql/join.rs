@@ -1,10 +1,11 @@
 //! Plans FROM: tables, subqueries and joins.
 
-use super::expression::{Planning, is_plain, split_and};
+use super::expression::Planning;
 use super::plan::Planner;
 use super::scope::{
     Column, Ctes, MAX_JOIN_ROWS, Relation, Type, choice, none_of, resolve, same, within_rows,
 };
+use super::syntax::{is_plain, split_and};
 use super::value::{Value, one_row};
 use super::{Answer, shown};
 use polars::prelude::*;

@@ -20,6 +20,7 @@ mod order;
 mod parse;
 mod plan;
 mod scope;
+mod syntax;
 mod value;
 mod window;
 

@@ -1,8 +1,9 @@
 //! Translates queries from the parser's tree to Polars plans. In a plan, every column has a unique id.
 
-use super::expression::{Binder, Groups, Key, Needed, Planning, can_fail, has_aggregate, split_and};
+use super::expression::{Binder, Groups, Key, Needed, Planning};
 use super::order::{Sorting, direction, options_of};
 use super::scope::{Column, Ctes, Relation, Type, none_of, resolve, same, within_rows};
+use super::syntax::{can_fail, has_aggregate, split_and};
 use super::value::Value;
 use super::window::Window;
 use super::{Answer, Query, Tables, shown};

@@ -118,7 +118,7 @@ impl Raise for ExperimentError {
             Self::Simulation(error) => error.raise(),
             Self::Registry(error) => error.raise(),
             Self::NoTraining
-            | Self::Dataset(DatasetError::TooShort(_) | DatasetError::Split(_))
+            | Self::Dataset(DatasetError::Unsuitable(_))
             | Self::Learning(LearningError::Device { .. }) => self.value_error(),
             Self::Submission(SubmissionError::Held { .. }) => self.runtime_error(),
             Self::Submission(_) => self.value_error(),

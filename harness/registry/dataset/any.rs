@@ -51,7 +51,7 @@ impl AnyDataset {
             _ => {
                 let (count, there) = if there.is_empty() { ("none", all) } else { ("more than one", there) };
                 let there = if there.is_empty() { "no datasets".to_owned() } else { there.join(", ") };
-                Err(DatasetError::NotNamed(format!(
+                Err(DatasetError::Unsuitable(format!(
                     "{count} of the datasets in {} has a name that begins with '{name}'; there are {there}",
                     root.display()
                 )))

@@ -81,13 +81,13 @@ impl Imported {
         let split = self.labels().split(&spec.split);
         if spec.test.is_none() && (split.has_groups() || matches!(split.by, Division::Label(_))) {
             self.parts(&spec.split).map_err(|problem| {
-                DatasetError::Split(format!("the dataset {name} can't be divided: {problem}"))
+                DatasetError::Unsuitable(format!("the dataset {name} can't be divided: {problem}"))
             })?;
         }
         let longest = self.content.samples().max().unwrap_or_default();
         if longest < spec.window.samples() {
             let Window { context, horizon, .. } = spec.window;
-            return Err(DatasetError::TooShort(format!(
+            return Err(DatasetError::Unsuitable(format!(
                 "the longest episode of the dataset {name} has {}, and a window of {context} that are seen and {horizon} \
                  that are predicted needs {}; lower window.context or window.horizon, or import longer episodes",
                 counted(longest, "sample"),

@@ -41,18 +41,10 @@ pub enum DatasetError {
     /// The dataset's folder can't be locked.
     #[error(transparent)]
     Lock(#[from] LockError),
-    /// There is no such imported dataset, or it lacks a modality that a spec uses. The text is the message.
+    /// No dataset, or more than one, has the name that is asked for; or the dataset lacks a modality, its episodes can't
+    /// be divided as a spec asks, or none of them is as long as a window. The text is the message.
     #[error("{0}")]
     Unsuitable(String),
-    /// No dataset, or more than one, has a name that begins so. The text is the message.
-    #[error("{0}")]
-    NotNamed(String),
-    /// The episodes can't be divided as a spec asks. The text is the message.
-    #[error("{0}")]
-    Split(String),
-    /// No episode of the dataset is as long as a window. The text is the message.
-    #[error("{0}")]
-    TooShort(String),
     /// Frames can't be stored on disk.
     #[error(transparent)]
     Frames(#[from] FramesError),
