@@ -214,7 +214,7 @@ def test_the_page_shows_it(prepared: tuple[str, Place, str]) -> None:
             answers = ["runs", "settings", "claims", "tables"]
             if (situation, "compare") not in MISSING:
                 answers.append(f"compare?experiment={quote(experiment)}")
-            answers += [f"{kind}?run={quote(run, safe='')}" for run in place.runs(experiment) for kind in ("run", "losses")]
+            answers += [f"run?run={quote(run, safe='')}" for run in place.runs(experiment)]
             for path in answers:
                 with urllib.request.urlopen(f"{address}/api/{path}", timeout=60) as answer:
                     json.load(answer)
