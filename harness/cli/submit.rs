@@ -109,21 +109,24 @@ impl Submit {
 
     /// The settings of the configuration file with the flags in their place.
     fn resources(&self) -> Result<Resources> {
-        let Some(path) = &self.config else {
-            self.resources.check().map_err(usage)?;
-            return Ok(self.resources.clone());
-        };
-        let text = harness::spec::read_text(path)?;
-        let file: Resources = serde_yaml::from_str(&text).map_err(|error| {
-            let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
-            let place = format!("{}{}", path.display(), at.unwrap_or_default());
-            let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
-            usage(format!("{place}: {reason}"))
-        })?;
-        let resources = self.resources.clone().or(file);
-        resources.check().map_err(|reason| usage(format!("{}: {reason}", path.display())))?;
+        let (mut resources, mut place) = (self.resources.clone(), String::new());
+        if let Some(path) = &self.config {
+            resources = resources.or(read_config(path)?);
+            place = format!("{}: ", path.display());
+        }
+        resources.check().map_err(|reason| usage(format!("{place}{reason}")))?;
         Ok(resources)
     }
+}
+
+fn read_config(path: &Path) -> Result<Resources> {
+    let text = harness::spec::read_text(path)?;
+    serde_yaml::from_str(&text).map_err(|error| {
+        let at = error.location().map(|at| format!(":{}:{}", at.line(), at.column()));
+        let place = format!("{}{}", path.display(), at.unwrap_or_default());
+        let reason = UserMessageFormatter.format_message(error.without_snippet()).into_owned();
+        usage(format!("{place}: {reason}"))
+    })
 }
 
 /// The description of a job in its folder, `job.json`.
